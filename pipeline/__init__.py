@@ -1,0 +1,1 @@
+"""Who runs the stages: command line, Dask graph, shard store, progress."""

@@ -1,0 +1,35 @@
+"""Errors of the project: one root, one subclass per fact.
+
+They live with the schemas because every room raises them; only the command line prints them and
+turns them into exit codes. A message is one line that names the file, the scan and the remedy.
+"""
+
+from __future__ import annotations
+
+
+class SalpccError(Exception):
+    """Root of every error that a user can cause or mend."""
+
+
+class UsageError(SalpccError):
+    """The command or configuration asks for something that cannot be (exit code 2)."""
+
+
+class SourceError(SalpccError):
+    """A recorded file is missing, truncated or not what it claims to be."""
+
+
+class SensorError(SalpccError):
+    """A sensor model is unreadable, or does not describe the scans at hand."""
+
+
+class ShardError(SalpccError):
+    """A shard is missing, unreadable or was written by a newer major version."""
+
+
+class ArchiveError(SalpccError):
+    """An archive or a payload in it is damaged, truncated or of an unknown version."""
+
+
+class LockedError(SalpccError):
+    """Another run holds the output folder."""

@@ -1,0 +1,1 @@
+"""The six reversible stages, in order: ingest, segment, ground_fit, predict, residual_code, evaluate."""

@@ -1,0 +1,1 @@
+"""Evaluate: decode, measure, compare, report."""

@@ -1,0 +1,1 @@
+"""Ground fit: a plane model per ground region (paper, section V-A)."""

@@ -1,0 +1,1 @@
+"""Ingest: sources, sensor model, motion inversion, lattice; scan <-> sweep."""

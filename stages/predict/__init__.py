@@ -1,0 +1,1 @@
+"""Predict: what the next range will be, and how sure that is."""

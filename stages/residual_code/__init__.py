@@ -1,0 +1,1 @@
+"""Residual code: entropy coders, payloads, the archive reader and writer."""

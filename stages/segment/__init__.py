@@ -1,0 +1,1 @@
+"""Segment: label each return, decide what the task keeps and how finely."""
