@@ -1,0 +1,60 @@
+"""Run configuration: what is asked of a run, resolved and written beside its results."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from salpcc.schemas.work import digest_of
+
+Profile = Literal["sensor", "paper"]
+Labels = Literal["network", "given"]
+Effort = Literal["fast", "default", "max"]
+
+
+class RunConfig(BaseModel):
+    """Everything that decides what a run computes; nothing of where or how fast it runs.
+
+    The coding half (:attr:`coding`) decides the archive bytes: its digest names shards and archives.
+    The other fields choose the input and what is measured afterwards.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    source: str = "semantickitti"
+    profile: Profile = "sensor"
+    max_error: float | None = Field(None, gt=0, le=10, description="metres, 3-D; None is bit-exact")
+    keep_movable: bool = False
+    labels: Labels = "network"
+    effort: Effort = "default"
+    gop: int = Field(8, ge=1, le=256, description="scans per group of pictures")
+    sensor: str = Field("hdl64e", description="name of a shipped sensor model, or a JSON file")
+    sensor_digest: str = Field(
+        "", description="digest of the model that the name stood for; filled in by the run"
+    )
+    frames: tuple[int, int] | None = Field(None, description="frame numbers, first and one past the last")
+    baselines: tuple[str, ...] = ()
+    device: Literal["cpu", "cuda"] = "cpu"
+
+    @model_validator(mode="after")
+    def _frames_ascend(self) -> RunConfig:
+        if self.frames is not None and not 0 <= self.frames[0] < self.frames[1]:
+            raise ValueError(f"frames {self.frames[0]}:{self.frames[1]} is empty")
+        return self
+
+    @property
+    def bit_exact(self) -> bool:
+        """True where every kept float32 comes back bit for bit."""
+        return self.max_error is None
+
+    @property
+    def coding(self) -> dict[str, object]:
+        """The fields that decide archive bytes, by name; stored in every archive."""
+        skip = {"source", "frames", "baselines", "device", "sensor"}
+        return {k: v for k, v in self.model_dump(mode="json").items() if k not in skip}
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of :attr:`coding`."""
+        return digest_of(self.coding)

@@ -1,0 +1,163 @@
+"""Shards: one Arrow schema per edge of the pipeline, one row per scan (per plane for PLANES).
+
+A shard is an Arrow IPC file (zstd) of one GOP. Its schema metadata says who wrote it from what;
+readers refuse a newer major version and ignore keys they do not know.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import ShardError
+from salpcc.schemas.sweep import Sweep
+
+SHARD_VERSION = "1.0"
+_META_KEY = b"salpcc"
+
+
+def _list(kind: pa.DataType) -> pa.DataType:
+    return pa.list_(pa.field("item", kind, nullable=False))
+
+
+_SWEEP_FIELDS = [
+    pa.field("name", pa.string(), nullable=False),
+    pa.field("time", pa.int64(), nullable=False),
+    pa.field("frame_id", pa.string(), nullable=False),
+    pa.field("n_points", pa.int64(), nullable=False),
+    pa.field("motion", _list(pa.float64())),
+    pa.field("step", pa.int32(), nullable=False),
+    pa.field("laser", _list(pa.uint8()), nullable=False),
+    pa.field("tick", _list(pa.int32()), nullable=False),
+    pa.field("count", _list(pa.int32()), nullable=False),
+    pa.field("intensity", _list(pa.float32()), nullable=False),
+    pa.field("millimetre", _list(pa.uint8()), nullable=False),
+    pa.field("ulp", _list(pa.uint8()), nullable=False),
+    pa.field("classes", _list(pa.uint8())),
+    pa.field("stray_index", _list(pa.int64()), nullable=False),
+    pa.field("stray_points", _list(pa.float32()), nullable=False),
+    pa.field("stray_classes", _list(pa.uint8())),
+]
+_SCALARS = ("name", "time", "frame_id", "n_points", "step")
+_ARRAYS = {f.name: f.type for f in _SWEEP_FIELDS if f.name not in _SCALARS}
+
+SWEEP = pa.schema(_SWEEP_FIELDS)
+TASK = pa.schema([*_SWEEP_FIELDS, pa.field("dropped_movable", pa.int64(), nullable=False)])
+PLANES = pa.schema(
+    [
+        pa.field("name", pa.string(), nullable=False),
+        pa.field("region", pa.int32(), nullable=False),
+        *(pa.field(k, pa.float64(), nullable=False) for k in "abcd"),
+        pa.field("n_points", pa.int64(), nullable=False),
+    ]
+)
+PREDICTION = pa.schema(
+    [
+        pa.field("name", pa.string(), nullable=False),
+        pa.field("prediction", _list(pa.int32()), nullable=False),
+        pa.field("spread", _list(pa.uint8()), nullable=False),
+    ]
+)
+PAYLOAD = pa.schema(
+    [
+        pa.field("name", pa.string(), nullable=False),
+        pa.field("time", pa.int64(), nullable=False),
+        pa.field("frame_id", pa.string(), nullable=False),
+        *(
+            pa.field(k, pa.int64(), nullable=False)
+            for k in (
+                "n_points",
+                "kept",
+                "dropped_movable",
+                "strays",
+                "geometry",
+                "intensity",
+                "classes",
+                "side",
+            )
+        ),
+        pa.field("data", pa.large_binary(), nullable=False),
+    ]
+)
+
+# The schema that each stage's table has; evaluate owns its own (one row per scan, any columns).
+OF_STAGE: Mapping[str, pa.Schema] = {
+    "ingest": SWEEP,
+    "segment": TASK,
+    "ground_fit": PLANES,
+    "predict": PREDICTION,
+    "residual_code": PAYLOAD,
+}
+
+
+def sweeps_to_table(sweeps: Iterable[Sweep], dropped_movable: Iterable[int] | None = None) -> pa.Table:
+    """Lay sweeps out as a SWEEP table, or as a TASK table where ``dropped_movable`` is given."""
+    rows = list(sweeps)
+    columns: list[pa.Array] = []
+    for field in _SWEEP_FIELDS:
+        values = [getattr(sweep, field.name) for sweep in rows]
+        array = _column(values, field.type) if field.name in _ARRAYS else pa.array(values, field.type)
+        columns.append(array)
+    if dropped_movable is None:
+        return pa.Table.from_arrays(columns, schema=SWEEP)
+    return pa.Table.from_arrays([*columns, pa.array(list(dropped_movable), pa.int64())], schema=TASK)
+
+
+def table_to_sweeps(table: pa.Table) -> list[Sweep]:
+    """Take the sweeps out of a SWEEP or TASK table; inverse of :func:`sweeps_to_table`."""
+    return [_row(table, i) for i in range(table.num_rows)]
+
+
+def _column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
+    """Build a list column from arrays without going through Python objects (NaN bits are kept)."""
+    flat = [np.empty(0) if v is None else np.ascontiguousarray(v).ravel() for v in values]
+    dtype = kind.value_type.to_pandas_dtype()
+    joined = np.concatenate([f.astype(dtype, copy=False) for f in flat]) if flat else np.empty(0, dtype)
+    offsets = np.zeros(len(flat) + 1, np.int32)
+    np.cumsum([len(f) for f in flat], out=offsets[1:])
+    mask = pa.array([v is None for v in values], pa.bool_())
+    return pa.ListArray.from_arrays(
+        pa.array(offsets), pa.array(joined, kind.value_type), type=kind, mask=mask
+    )
+
+
+def list_array(table: pa.Table, column: str, row: int) -> NDArray[Any] | None:
+    """The array in a list column of one row (read-only view), or None where it is null."""
+    scalar = table.column(column)[row]
+    return scalar.values.to_numpy() if scalar.is_valid else None
+
+
+def _row(table: pa.Table, row: int) -> Sweep:
+    values: dict[str, Any] = {name: table.column(name)[row].as_py() for name in _SCALARS}
+    values.update({name: list_array(table, name, row) for name in _ARRAYS})
+    values["stray_points"] = values["stray_points"].reshape(-1, 4)
+    return Sweep(**values)
+
+
+def stamp(table: pa.Table, **facts: Any) -> pa.Table:
+    """Put facts (stage, stage version, config digest, tool, errors, ...) into the schema metadata."""
+    record = {"version": SHARD_VERSION, **facts}
+    return table.replace_schema_metadata({_META_KEY: json.dumps(record, sort_keys=True)})
+
+
+def facts_of(schema: pa.Schema, where: str = "shard") -> dict[str, Any]:
+    """Read what :func:`stamp` wrote.
+
+    Raises:
+        ShardError: ``where`` is no shard of ours, or of a newer major version.
+    """
+    try:
+        facts: dict[str, Any] = json.loads((schema.metadata or {})[_META_KEY])
+        major = int(str(facts["version"]).split(".")[0])
+    except (KeyError, ValueError, TypeError) as error:
+        raise ShardError(f"{where}: not a shard of this tool") from error
+    if major > int(SHARD_VERSION.split(".")[0]):
+        raise ShardError(
+            f"{where}: shard version {facts['version']} is newer than this tool reads ({SHARD_VERSION})"
+        )
+    return facts
