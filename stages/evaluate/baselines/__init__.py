@@ -1,0 +1,1 @@
+"""Baselines: the codecs that this project is compared with, one file each."""

@@ -1,0 +1,56 @@
+"""Segmentation measures: confusion matrices, IoU and mIoU, eqs. (21) and (22).
+
+Points that the labels leave unlabelled are not counted, as SemanticKITTI does. The mean is over the
+classes that occur in the truth or in the prediction: with a few scans an absent class says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, GROUPS, MOVABLE
+
+UNLABELLED = 0
+_GROUND_UNSPECIFIED = len(CLASSES) - 1
+
+
+def confusion(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], size: int) -> NDArray[np.int64]:
+    """Count ``(size, size)`` pairs, truth by row. Both inputs are ``(N,)`` indices below ``size``."""
+    pairs = truth.astype(np.int64) * size + predicted
+    return np.bincount(pairs, minlength=size * size).reshape(size, size)
+
+
+def group_confusion(truth: NDArray[np.uint8], groups: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Count the three groups: ``truth`` ``(N,)`` classes against predicted ``groups`` ``(N,)``."""
+    labelled = truth != UNLABELLED
+    return confusion(GROUP_OF_CLASS[truth[labelled]], groups[labelled], len(GROUPS))
+
+
+def class_confusion(truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> NDArray[np.int64] | None:
+    """Count the classes, or None where the segmenter knows groups only (it says the class ``ground``)."""
+    if (predicted == _GROUND_UNSPECIFIED).any():
+        return None
+    labelled = truth != UNLABELLED
+    return confusion(truth[labelled], predicted[labelled], len(CLASSES))
+
+
+def predicted_groups(kept: NDArray[np.bool_], decoded_classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Groups ``(N,)`` of all source points: what was dropped was taken for movable."""
+    groups = np.full(len(kept), MOVABLE, np.uint8)
+    groups[kept] = GROUP_OF_CLASS[decoded_classes]
+    return groups
+
+
+def intersection_over_union(counts: NDArray[np.int64], names: Sequence[str]) -> Mapping[str, float]:
+    """IoU, eq. (21), of each class that occurs in the truth or in the prediction."""
+    hit = np.diag(counts)
+    union = counts.sum(axis=0) + counts.sum(axis=1) - hit
+    return {name: float(hit[i] / union[i]) for i, name in enumerate(names) if union[i] > 0}
+
+
+def mean_iou(scores: Mapping[str, float]) -> float | None:
+    """Return mIoU, eq. (22), or None where there is no class to average."""
+    return float(np.mean(list(scores.values()))) if scores else None

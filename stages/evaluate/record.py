@@ -1,0 +1,85 @@
+"""Keep what a run measured under ``OUT/report/``: the inputs of the report, as Parquet and JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from salpcc.schemas.errors import ShardError
+from salpcc.stages.evaluate.schema import BASELINES, FAILURES, METRICS, TIMES, VERSION
+
+SCHEMAS: Mapping[str, pa.Schema] = {
+    "metrics": METRICS,
+    "times": TIMES,
+    "failures": FAILURES,
+    "baselines": BASELINES,
+}
+RUN = "run.json"
+_VERSION_KEY = b"salpcc.evaluate.version"
+
+
+def record(out: Path, run: Mapping[str, Any] | None = None, **tables: pa.Table) -> None:
+    """Write tables by name (``metrics=``, ``times=``, ``failures=``, ``baselines=``) and the run's description.
+
+    ``run`` is any JSON object; the report shows ``command``, ``config``, ``config_digest``, ``tool_version``,
+    ``started``, ``finished`` (ISO 8601), ``notes`` (list of lines) and ``source`` (where the scans came from).
+    """
+    folder = out / "report"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, table in tables.items():
+        schema = SCHEMAS[name].with_metadata({_VERSION_KEY: str(VERSION).encode()})
+        with _replacing(folder / f"{name}.parquet") as part:
+            pq.write_table(table.select(schema.names).cast(schema), part, compression="zstd")
+    if run is not None:
+        with _replacing(folder / RUN) as part:
+            part.write_text(json.dumps(run, indent=1, sort_keys=True) + "\n")
+
+
+def recorded(out: Path, name: str) -> pa.Table:
+    """Read one table back; an empty one where the run wrote none.
+
+    Raises:
+        ShardError: the file is unreadable or comes from a newer version.
+    """
+    path = out / "report" / f"{name}.parquet"
+    if not path.exists():
+        return SCHEMAS[name].empty_table()
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise ShardError(f"{path}: not readable as Parquet ({error}); run the command again") from error
+    version = int((table.schema.metadata or {}).get(_VERSION_KEY, b"0"))
+    if version > VERSION:
+        raise ShardError(
+            f"{path}: written by version {version}, this tool reads up to {VERSION}; update the tool"
+        )
+    return table
+
+
+def recorded_run(out: Path) -> dict[str, Any]:
+    """Read the run's description back; empty where there is none."""
+    path = out / "report" / RUN
+    return dict(json.loads(path.read_text())) if path.exists() else {}
+
+
+class _replacing:
+    """Write beside ``path`` and rename at the end, so that a reader never sees half a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.part = path.with_name(f"{path.name}.{os.getpid()}.part")
+
+    def __enter__(self) -> Path:
+        return self.part
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            os.replace(self.part, self.path)
+        else:
+            self.part.unlink(missing_ok=True)

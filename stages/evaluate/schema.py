@@ -1,0 +1,92 @@
+"""Arrow schemas of what evaluation hands on: one row per scan, per stage and GOP, per failure, per baseline.
+
+``stage.run`` gives METRICS rows; ``pipeline`` gathers them, with TIMES and FAILURES, through
+:func:`salpcc.stages.evaluate.record.record` under ``OUT/report/``; ``report.build`` reads only that folder (and
+the sizes of the files in ``OUT/archives/``), so a report can be rebuilt without decoding anything again.
+"""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+VERSION = 1
+
+# One row per scan, measured on what was decoded from the archive. A null in a measured column means that
+# there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
+METRICS = pa.schema(
+    [
+        ("sequence", pa.string()),
+        ("gop", pa.int32()),
+        ("name", pa.string()),
+        ("time", pa.int64()),  # ns
+        ("points_in", pa.int64()),
+        ("points_kept", pa.int64()),
+        ("points_dropped_movable", pa.int64()),
+        ("points_decoded", pa.int64()),
+        ("points_on_fallback", pa.int64()),
+        ("bytes_geometry", pa.int64()),
+        ("bytes_intensity", pa.int64()),
+        ("bytes_classes", pa.int64()),
+        ("bytes_side", pa.int64()),
+        ("points_compared", pa.int64()),
+        ("max_error_m", pa.float64()),  # 3-D, point by point in file order
+        ("max_axis_error_m", pa.float64()),  # largest of |dx|, |dy|, |dz|
+        ("squared_error_m2", pa.float64()),  # sum over points_compared
+        ("d_d_m2", pa.float64()),  # eq. (24), which sums squared distances (25)
+        ("bit_exact", pa.bool_()),  # x, y, z and intensity, float32 bit for bit
+        ("intensity_exact", pa.bool_()),
+        ("decode_ms", pa.float64()),  # CPU
+        ("group_confusion", pa.list_(pa.int64())),  # 3 x 3, truth by row, in the order of labels.GROUPS
+        ("class_confusion", pa.list_(pa.int64())),  # 21 x 21, truth by row, in the order of labels.CLASSES
+        # A sample for the pictures, in the first scan of a sequence only.
+        ("sample_points", pa.list_(pa.float32())),  # decoded x, y, z, flat
+        ("sample_error_m", pa.list_(pa.float32())),
+        ("sample_classes", pa.list_(pa.uint8())),
+    ]
+)
+
+# One row per stage and GOP. CPU time of the kernels on one core, compilation excluded.
+TIMES = pa.schema(
+    [
+        ("sequence", pa.string()),
+        ("gop", pa.int32()),
+        ("stage", pa.string()),
+        ("scans", pa.int32()),
+        ("cpu_ms", pa.float64()),  # of the whole GOP
+        ("wall_ms", pa.float64()),
+    ]
+)
+
+# One row per scan (or file) that could not be processed.
+FAILURES = pa.schema(
+    [
+        ("sequence", pa.string()),
+        ("name", pa.string()),
+        ("stage", pa.string()),
+        ("file", pa.string()),
+        ("message", pa.string()),
+    ]
+)
+
+# One row per baseline, asked error and scan. max_error 0 asks for bit-exactness.
+BASELINES = pa.schema(
+    [
+        ("baseline", pa.string()),
+        ("sequence", pa.string()),
+        ("name", pa.string()),
+        ("max_error", pa.float64()),
+        ("status", pa.string()),  # "ok", "not run: …" or "failed: …"
+        ("in_order", pa.bool_()),  # errors compared in file order; else to the nearest neighbour both ways
+        ("points_in", pa.int64()),
+        ("points_decoded", pa.int64()),
+        ("bytes_geometry", pa.int64()),
+        ("bytes_total", pa.int64()),  # null where the codec does not carry intensity
+        ("max_error_m", pa.float64()),
+        ("max_axis_error_m", pa.float64()),
+        ("squared_error_m2", pa.float64()),
+        ("d_d_m2", pa.float64()),
+        ("bit_exact", pa.bool_()),
+        ("encode_ms", pa.float64()),
+        ("decode_ms", pa.float64()),
+    ]
+)
