@@ -1,0 +1,72 @@
+"""SemanticKITTI / KITTI odometry: ``ROOT/sequences/SEQ/{velodyne,labels}/NAME.{bin,label}``, times.txt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import SourceError
+from salpcc.schemas.labels import classes_of_labels
+from salpcc.schemas.scan import Scan
+from salpcc.schemas.work import ScanRef
+from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_points
+
+
+class SemanticKitti:
+    """Motion-compensated scans of 22 sequences, labels for 00 to 10."""
+
+    name = "semantickitti"
+    hint = (
+        "Velodyne scans: www.cvlibs.net/datasets/kitti/eval_odometry.php; "
+        "labels: semantic-kitti.org; expected ROOT/sequences/SEQ/velodyne/*.bin"
+    )
+
+    def sequences(self, root: Path) -> list[str]:
+        """List sequences: folders below ``root/sequences`` that hold a ``velodyne`` folder."""
+        return sorted(p.parent.name for p in (root / "sequences").glob("*/velodyne") if p.is_dir())
+
+    def scans(self, root: Path, sequence: str) -> list[ScanRef]:
+        """List the scans of ``root/sequences/sequence``; times from times.txt (seconds, one a line)."""
+        folder = root / "sequences" / sequence
+        if not (folder / "velodyne").is_dir():
+            raise SourceError(f"{folder / 'velodyne'}: not found. {self.hint}")
+        return list_scans(folder / "velodyne", read_times(folder / "times.txt"), folder / "labels")
+
+    def read(self, ref: ScanRef, with_labels: bool) -> Scan:
+        """Read points and, where asked, the classes of the ``.label`` file."""
+        points, intensity = read_points(Path(ref.path))
+        classes = read_classes(ref, len(points)) if with_labels else None
+        return Scan(ref.name, points, intensity, ref.time, classes=classes)
+
+
+def read_times(path: Path) -> list[int] | None:
+    """Read nanoseconds by frame number from a file of seconds, or None where there is no file."""
+    if not path.is_file():
+        return None
+    try:
+        return [round(float(line) * 1e9) for line in path.read_text().split()]
+    except ValueError as error:
+        raise SourceError(f"{path}: {error}") from error
+
+
+def read_classes(ref: ScanRef, n_points: int) -> NDArray[np.uint8]:
+    """Read the class of each point from the ``.label`` file (uint32, lower 16 bits are the class).
+
+    Raises:
+        SourceError: no labels, not one per point, or an unknown label.
+    """
+    if ref.labels is None:
+        raise SourceError(f"{ref.path}: no .label file beside it; use --labels network")
+    path = Path(ref.labels)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SourceError(f"{path}: {error.strerror or error}") from error
+    if len(data) != 4 * n_points:
+        raise SourceError(f"{path}: {len(data)} bytes for {n_points} points, expected 4 bytes a point")
+    try:
+        return classes_of_labels(np.frombuffer(data, "<u4").astype(np.uint32))
+    except ValueError as error:
+        raise SourceError(f"{path}: {error}") from error
