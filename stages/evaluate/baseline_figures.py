@@ -1,0 +1,62 @@
+"""Sum BASELINES rows up per codec and asked error, with the names that the sequences use."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from salpcc.stages.evaluate.aggregate import count, error_figures, median, total
+from salpcc.stages.evaluate.metrics import bits_per_point, compression_rate
+
+
+def baseline_figures(rows: pa.Table) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return ``{codec: {asked error in metres: figures}}``; the error "0" asks for bit-exactness."""
+    result: dict[str, dict[str, dict[str, Any]]] = {}
+    for name in _distinct(rows, "baseline"):
+        mine = rows.filter(pc.equal(rows.column("baseline"), name))
+        result[str(name)] = {
+            f"{error:g}": _figures(mine.filter(pc.equal(mine.column("max_error"), error)))
+            for error in sorted(_distinct(mine, "max_error"))
+        }
+    return result
+
+
+def _figures(rows: pa.Table) -> dict[str, Any]:
+    """Figures of one codec at one asked error over the scans that it coded."""
+    done = rows.filter(pc.equal(rows.column("status"), "ok"))
+    if not done.num_rows:
+        return {"status": rows.column("status")[0].as_py(), "frames": 0}
+    points, geometry = total(done, "points_in"), total(done, "bytes_geometry")
+    whole = None if done.column("bytes_total").null_count else total(done, "bytes_total")
+    failed = rows.num_rows - done.num_rows
+    return {
+        "status": "ok" if not failed else f"ok, but {failed} of {rows.num_rows} scans failed",
+        "frames": done.num_rows,
+        "points_in": points,
+        "points_decoded": total(done, "points_decoded"),
+        "points_lost": points - total(done, "points_decoded"),
+        "in_order": count(done, "in_order") == done.num_rows,
+        "bytes": {
+            "geometry": geometry,
+            "intensity": None if whole is None else whole - geometry,
+            "total": whole,
+        },
+        "bpp": {
+            "geometry": bits_per_point(geometry, points),
+            "intensity": None if whole is None else bits_per_point(whole - geometry, points),
+            "total": None if whole is None else bits_per_point(whole, points),
+        },
+        "compression_rate_percent": None if whole is None else compression_rate(whole, points),
+        "geometry_rate_percent": compression_rate(geometry, points),
+        **error_figures(done),
+        "bit_exact_scans": count(done, "bit_exact"),
+        "encode_ms_per_scan": median(done, "encode_ms"),
+        "decode_ms_per_scan": median(done, "decode_ms"),
+    }
+
+
+def _distinct(rows: pa.Table, column: str) -> list[Any]:
+    """Distinct values of a column in the order of their first appearance."""
+    return list(dict.fromkeys(rows.column(column).to_pylist()))
