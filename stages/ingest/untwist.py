@@ -1,0 +1,262 @@
+"""Motion compensation of a scan, and its exact inversion (SENSOR_LATTICE.md, section 2).
+
+KITTI odometry scans are raw scans moved by the vehicle's motion ``(v, w)`` during the turn::
+
+    P = R(s w) q + s v        s = atan2(q_y, q_x) / (2 pi)
+
+``q`` is a raw point: float32 of a whole number of millimetres. That lattice is the measuring stick:
+the right ``(v, w)`` is the one that puts every point back on it, and the lattice holds no noise, so
+six numbers follow from a few hundred points and everything else confirms them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.trig import TWO_PI, arctan2
+
+# A fitted scan is off the 1 mm lattice by float32 rounding only (about 0.0005 mm rms); uniform
+# phases, which is what a wrong motion gives, are off by 0.29 mm.
+_LOCKED_MM = 0.01
+_GROWING_MM = 0.15
+_POINTS_PER_ROUND = 1000
+_POINTS_TO_POLISH = 8000
+_FIRST_SECTOR = 0.0006  # turns; the displacement there is below 1 mm up to 20 m/s when started right
+_WARM_SECTOR = 0.03  # the motion changes little from one scan to the next
+_START_SPEEDS = tuple(-0.3 * k for k in range(-2, 14))  # metres per turn, forward is negative
+_START_YAW_RATES = (0.0, -0.05, 0.05, -0.1, 0.1)  # radians per turn
+
+
+@njit(cache=True)
+def _rotate(x: float, y: float, z: float, wx: float, wy: float, wz: float) -> tuple[float, float, float]:
+    """Rodrigues' rotation of (x, y, z) by the small rotation vector w, by its series."""
+    t = wx * wx + wy * wy + wz * wz
+    a = 1.0 - t / 6.0 * (1.0 - t / 20.0 * (1.0 - t / 42.0 * (1.0 - t / 72.0)))
+    b = 0.5 * (1.0 - t / 12.0 * (1.0 - t / 30.0 * (1.0 - t / 56.0 * (1.0 - t / 90.0))))
+    cx = wy * z - wz * y
+    cy = wz * x - wx * z
+    cz = wx * y - wy * x
+    return (
+        x + a * cx + b * (wy * cz - wz * cy),
+        y + a * cy + b * (wz * cx - wx * cz),
+        z + a * cz + b * (wx * cy - wy * cx),
+    )
+
+
+@njit(cache=True)
+def _forward(x: float, y: float, z: float, m: NDArray[np.float64]) -> tuple[float, float, float]:
+    s = arctan2(y, x) / TWO_PI
+    px, py, pz = _rotate(x, y, z, s * m[3], s * m[4], s * m[5])
+    return px + s * m[0], py + s * m[1], pz + s * m[2]
+
+
+@njit(cache=True)
+def _inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -> tuple[float, float, float]:
+    """Solve P(q) = (x, y, z) by fixed point on s. ``branch`` of 1 or -1 moves s there by a turn."""
+    s = arctan2(y, x) / TWO_PI
+    qx = x
+    qy = y
+    qz = z
+    for _ in range(8):
+        if branch != 0 and s * branch < 0.0:
+            s += branch
+        qx, qy, qz = _rotate(
+            x - s * m[0], y - s * m[1], z - s * m[2], -s * m[3], -s * m[4], -s * m[5]
+        )  # fmt: skip
+        before = s
+        s = arctan2(qy, qx) / TWO_PI
+        if abs(s - before) < 1e-10:
+            break
+    return qx, qy, qz
+
+
+@njit(cache=True)
+def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Compensate raw points ``(N, 3)`` in metres for the motion ``(6,)``; float32 ``(N, 3)``."""
+    n = raw.shape[0]
+    out = np.empty((n, 3), np.float32)
+    for i in range(n):
+        x, y, z = _forward(raw[i, 0], raw[i, 1], raw[i, 2], motion)
+        out[i, 0] = x
+        out[i, 1] = y
+        out[i, 2] = z
+    return out
+
+
+@njit(cache=True)
+def _on_lattice(x: float) -> float:
+    """Nearest raw coordinate: float32 of a whole number of millimetres."""
+    return np.float64(np.float32(np.rint(x * 1000.0) / 1000.0))
+
+
+@njit(cache=True)
+def _fit(
+    points: NDArray[np.float64],
+    chosen: NDArray[np.int64],
+    start: NDArray[np.float64],
+    rounds: int,
+    by_ulp: bool,
+) -> tuple[NDArray[np.float64], float]:
+    """Gauss-Newton on the distance to the lattice over the chosen points.
+
+    ``by_ulp`` weighs each coordinate by the inverse of its float32 step, which is the noise of a
+    published value: only then do the last bits come out right.
+
+    Returns the motion and the rms misfit in mm.
+    """
+    m = start.copy()
+    misfit = np.inf
+    for _ in range(rounds):
+        h = np.zeros((6, 6))
+        g = np.zeros(6)
+        j = np.zeros((3, 6))
+        square = 0.0
+        for i in chosen:
+            px = points[i, 0]
+            py = points[i, 1]
+            pz = points[i, 2]
+            qx, qy, qz = _inverse(px, py, pz, m, 0)
+            qx = _on_lattice(qx)
+            qy = _on_lattice(qy)
+            qz = _on_lattice(qz)
+            s = arctan2(qy, qx) / TWO_PI
+            fx, fy, fz = _forward(qx, qy, qz, m)
+            ax = fx - s * m[0]
+            ay = fy - s * m[1]
+            az = fz - s * m[2]
+            j[0, 0] = s
+            j[1, 1] = s
+            j[2, 2] = s
+            j[0, 4] = s * az
+            j[0, 5] = -s * ay
+            j[1, 3] = -s * az
+            j[1, 5] = s * ax
+            j[2, 3] = s * ay
+            j[2, 4] = -s * ax
+            e = (px - fx, py - fy, pz - fz)
+            p = (px, py, pz)
+            square += e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+            for c in range(3):
+                weight = 1.0
+                if by_ulp:
+                    # 1e-3: far below that a value says more than the model's own float64 knows.
+                    weight = 1.0 / max(abs(p[c]), 1e-3) ** 2
+                for a in range(6):
+                    wj = weight * j[c, a]
+                    if wj != 0.0:
+                        g[a] += wj * e[c]
+                        for b in range(a, 6):
+                            h[a, b] += wj * j[c, b]
+        for a in range(6):
+            h[a, a] = h[a, a] * (1.0 + 1e-12) + 1e-12
+            for b in range(a):
+                h[a, b] = h[b, a]
+        misfit = 1000.0 * np.sqrt(square / (3 * max(len(chosen), 1)))
+        change = np.linalg.solve(h, g)
+        m = m + change
+        if np.abs(change).max() < 1e-12:
+            break
+    return m, misfit
+
+
+def _grow(
+    points: NDArray[np.float64], turns: NDArray[np.float64], start: NDArray[np.float64], sector: float
+) -> NDArray[np.float64] | None:
+    """Fit on a narrow sector around azimuth 0, widen it up to the full turn; None if phase is lost.
+
+    Near azimuth 0 the displacement is almost nil, so the nearest lattice point is the right one; each
+    fit is good enough to unwrap a sector three times as wide.
+    """
+    motion = start
+    while True:
+        inside = np.flatnonzero(turns < min(sector, 0.495))
+        if len(inside) < 12:
+            return None
+        chosen = inside[:: max(1, len(inside) // _POINTS_PER_ROUND)]
+        motion, misfit = _fit(points, chosen, motion, 6, False)
+        if misfit > _GROWING_MM or not np.isfinite(motion).all():
+            return None
+        if sector >= 0.495:
+            return motion if misfit < _LOCKED_MM else None
+        sector *= 3.0
+
+
+@njit(cache=True)
+def _raw_points(
+    points: NDArray[np.float64], motion: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Invert every point; returns whole millimetres and whether forward again is within 0.01 mm."""
+    n = len(points)
+    raw = np.empty((n, 3), np.int64)
+    good = np.zeros(n, np.bool_)
+    for i in range(n):
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2]
+        near_seam = x < 0.0 and abs(y) < -0.1 * x
+        for branch in (0, 1, -1):
+            if branch != 0 and not near_seam:
+                break
+            qx, qy, qz = _inverse(x, y, z, motion, branch)
+            raw[i, 0] = np.int64(np.rint(qx * 1000.0))
+            raw[i, 1] = np.int64(np.rint(qy * 1000.0))
+            raw[i, 2] = np.int64(np.rint(qz * 1000.0))
+            fx, fy, fz = _forward(_on_lattice(qx), _on_lattice(qy), _on_lattice(qz), motion)
+            if abs(fx - x) < 1e-5 and abs(fy - y) < 1e-5 and abs(fz - z) < 1e-5:
+                good[i] = True
+                break
+    return raw, good
+
+
+def is_raw(points: NDArray[np.float32]) -> bool:
+    """Tell whether points ``(N, 3)`` lie on the 1 mm lattice as they are (no motion compensation)."""
+    sample = points[:: max(1, len(points) // 2000)].astype(np.float64)
+    nearest = (np.rint(sample * 1000.0) / 1000.0).astype(np.float32)
+    return bool((nearest == sample).all(axis=1).mean() > 0.99)
+
+
+def solve_motion(
+    points: NDArray[np.float32], start: NDArray[np.float64] | None = None
+) -> NDArray[np.float64] | None:
+    """Find the motion ``(6,)`` that a compensated scan ``(N, 3)`` was compensated with.
+
+    Args:
+        start: the motion of the scan before, if there is one; without it a grid of forward speeds
+            and yaw rates is tried.
+
+    Returns:
+        ``(v, w)`` in metres and radians per turn, or None if no motion puts the scan on the lattice.
+    """
+    exact = points.astype(np.float64)
+    turns = np.abs(np.arctan2(exact[:, 1], exact[:, 0])) / TWO_PI
+    motion = None if start is None else _grow(exact, turns, start, _WARM_SECTOR)
+    if motion is None:
+        for yaw in _START_YAW_RATES:
+            for speed in _START_SPEEDS:
+                guess = np.array([speed, 0.0, 0.0, 0.0, 0.0, yaw])
+                motion = _grow(exact, turns, guess, _FIRST_SECTOR)
+                if motion is not None:
+                    break
+            if motion is not None:
+                break
+    if motion is None:
+        return None
+    inside = np.flatnonzero(turns < 0.495)
+    chosen = inside[:: max(1, len(inside) // _POINTS_TO_POLISH)]
+    return _fit(exact, chosen, motion, 3, True)[0]
+
+
+def untwist(
+    points: NDArray[np.float32], motion: NDArray[np.float64] | None
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Undo :func:`twist` (``motion`` None: the points are raw already).
+
+    Returns:
+        raw points ``(N, 3)`` int64 in mm, and per point whether the lattice explains it to 0.01 mm.
+    """
+    exact = points.astype(np.float64)
+    if motion is None:
+        motion = np.zeros(6)
+    return _raw_points(exact, motion)
