@@ -20,13 +20,14 @@ class Sweep:
         name, time, frame_id: as in :class:`~salpcc.schemas.scan.Scan`.
         n_points: points of the source scan (strays and dropped ones included).
         motion: ``(6,)`` float64 or None, the inverted motion compensation.
-        step: range counts per level. 1 is lossless; above, ``count`` holds levels.
+        step: range counts per level; above 1, ``count`` holds levels, decoded at their middle.
+        max_error: guaranteed 3-D error in metres; 0.0 is bit-exact. Above 0 there are no corrections.
         laser: ``(M,)`` uint8.
         tick: ``(M,)`` int32 in ``[0, sensor.ticks_per_turn)``, azimuth encoder ticks.
         count: ``(M,)`` int32, range counts (levels of ``step`` counts where step > 1).
         intensity: ``(M,)`` float32.
         millimetre: ``(M,)`` uint8, correction of the 1 mm rounding, ``9 (dx+1) + 3 (dy+1) + dz+1``
-            with each of dx, dy, dz in -1, 0, 1 mm; 13 is none. All 13 where step > 1.
+            with each of dx, dy, dz in -1, 0, 1 mm; 13 is none. All 13 where ``max_error`` > 0.
         ulp: ``(M,)`` uint8, correction of the last float32 bit, coded alike; 13 is none.
         classes: ``(M,)`` uint8 or None.
         stray_index: ``(S,)`` int64, ascending places of the strays among the kept points.
@@ -40,6 +41,7 @@ class Sweep:
     n_points: int
     motion: NDArray[np.float64] | None
     step: int
+    max_error: float
     laser: NDArray[np.uint8]
     tick: NDArray[np.int32]
     count: NDArray[np.int32]

@@ -1,0 +1,132 @@
+"""The sensor model: five numbers per laser that turn counts and ticks into metres.
+
+SENSOR_LATTICE.md, section 1. A model belongs to a sensor, not to a drive: it is fitted once over
+many scans (:mod:`salpcc.stages.ingest.calibrate`), shipped as JSON, and travels in every archive.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import SensorError
+
+SENSORS = Path(__file__).parent / "sensors"
+_VERSION = 1
+_PER_LASER = ("theta", "z0", "h", "phi0", "d0")
+_MAX_LASERS = 256
+_MAX_TICKS = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class SensorModel:
+    """A spinning sensor of L lasers.
+
+    Attributes:
+        name: what the model was fitted for.
+        ticks_per_turn: azimuth encoder ticks in a turn.
+        count: metres per range count.
+        theta: elevation of each laser's cone, rad, ``(L,)`` float64.
+        z0: height of its apex, m.
+        h: horizontal lever arm, m.
+        phi0: azimuth offset below one tick, rad.
+        d0: range offset, m.
+        shift: ticks between the common firing and the laser's own azimuth, ``(L,)`` int64.
+    """
+
+    name: str
+    ticks_per_turn: int
+    count: float
+    theta: NDArray[np.float64]
+    z0: NDArray[np.float64]
+    h: NDArray[np.float64]
+    phi0: NDArray[np.float64]
+    d0: NDArray[np.float64]
+    shift: NDArray[np.int64]
+
+    @property
+    def n_lasers(self) -> int:
+        return len(self.theta)
+
+    @cached_property
+    def parameters(self) -> NDArray[np.float64]:
+        """theta, z0, h, phi0, d0 as one ``(L, 5)`` array, for kernels."""
+        return np.stack([getattr(self, name) for name in _PER_LASER], axis=1)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex SHA-256 of the canonical JSON, the name's text included."""
+        return hashlib.sha256(self.to_json().encode()).hexdigest()
+
+    def to_json(self) -> str:
+        """Write the model as canonical JSON; floats are written so that they read back exactly."""
+        lasers = [
+            {name: float(getattr(self, name)[k]) for name in _PER_LASER} | {"shift": int(self.shift[k])}
+            for k in range(self.n_lasers)
+        ]
+        document = {
+            "version": _VERSION,
+            "name": self.name,
+            "ticks_per_turn": self.ticks_per_turn,
+            "count": self.count,
+            "lasers": lasers,
+        }
+        return json.dumps(document, sort_keys=True, indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> SensorModel:
+        """Read what :meth:`to_json` wrote.
+
+        Raises:
+            SensorError: not a sensor model, of a newer version, or with values out of range.
+        """
+        try:
+            document = json.loads(text)
+            if document["version"] > _VERSION:
+                raise SensorError(f"sensor model version {document['version']} is newer than {_VERSION}")
+            lasers = document["lasers"]
+            model = cls(
+                name=str(document["name"]),
+                ticks_per_turn=int(document["ticks_per_turn"]),
+                count=float(document["count"]),
+                shift=np.array([int(laser["shift"]) for laser in lasers], np.int64),
+                **{
+                    name: np.array([float(laser[name]) for laser in lasers], np.float64)
+                    for name in _PER_LASER
+                },
+            )
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            raise SensorError(f"not a sensor model: {error!r}") from error
+        sound = (
+            1 <= model.n_lasers <= _MAX_LASERS
+            and 1 <= model.ticks_per_turn <= _MAX_TICKS
+            and 0 < model.count < 1
+            and bool(np.isfinite(model.parameters).all())
+            and bool((np.abs(model.parameters) < 10).all())
+            and bool((np.abs(model.shift) <= model.ticks_per_turn).all())
+        )
+        if not sound:
+            raise SensorError(f"sensor model {model.name!r} has values out of range")
+        return model
+
+
+def load_sensor(name: str | Path) -> SensorModel:
+    """Load a shipped model by name (``hdl64e``) or any model by the path of its JSON file.
+
+    Raises:
+        SensorError: no such model, or not readable as one.
+    """
+    path = SENSORS / f"{name}.json"
+    if not path.is_file():
+        path = Path(name)
+    try:
+        return SensorModel.from_json(path.read_bytes())
+    except OSError as error:
+        shipped = ", ".join(sorted(p.stem for p in SENSORS.glob("*.json")))
+        raise SensorError(f"no sensor model {name}: give a JSON file or one of {shipped}") from error

@@ -1,0 +1,183 @@
+"""Scan <-> sweep: put every point on the sensor lattice, and get every bit of it back.
+
+    scan --untwist--> raw points --rings, lattice--> (laser, tick, count) + corrections, or a stray
+
+The sweep made here gives its scan back bit for bit; this is checked point by point while it is made,
+and a point that would not come back exactly becomes a stray with its own float32 values.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.schemas.scan import Scan
+from salpcc.schemas.sweep import Sweep
+from salpcc.stages.ingest.lattice import NO_CORRECTION, correction_codes, corrections, project, unproject
+from salpcc.stages.ingest.rings import assign_lasers
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist
+
+# A lattice that explains fewer points than this is not the scan's lattice, and strays cost less.
+_MIN_SHARE = 0.2
+_MIN_POINTS_FOR_MOTION = 200
+_MAX_COUNT = (1 << 20) - 1
+
+
+def ordered_bits(values: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Map float32 to integers in the order of the values, neighbours one apart (-0.0 is -1)."""
+    bits = values.view(np.int32).astype(np.int64)
+    return np.where(bits < 0, bits ^ 0x7FFFFFFF, bits)
+
+
+def from_ordered_bits(bits: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Inverse of :func:`ordered_bits`."""
+    return np.where(bits < 0, bits ^ 0x7FFFFFFF, bits).astype(np.int32).view(np.float32)
+
+
+def _millimetres_to_float(
+    raw: NDArray[np.int64], motion: NDArray[np.float64] | None
+) -> NDArray[np.float32]:
+    """Raw points in mm to the float32 points that were published."""
+    points = (raw / 1000.0).astype(np.float32)
+    return points if motion is None else twist(points.astype(np.float64), motion)
+
+
+@njit(cache=True)
+def _rising(laser: NDArray[np.int64], tick: NDArray[np.int32], ticks: int) -> NDArray[np.bool_]:
+    """Mark the points whose tick rises along their ring, counted from the ring's first point."""
+    keep = np.zeros(len(laser), np.bool_)
+    ring = -1
+    start = 0
+    last = 0
+    for i in range(len(laser)):
+        if laser[i] < 0:
+            continue
+        if laser[i] != ring:
+            ring = laser[i]
+            start = tick[i]
+            last = -1
+        turn = (tick[i] - start) % ticks
+        if turn > last:
+            keep[i] = True
+            last = turn
+    return keep
+
+
+def _find_motion(
+    points: NDArray[np.float32], start: NDArray[np.float64] | None
+) -> tuple[bool, NDArray[np.float64] | None]:
+    """Tell whether the points' lattice can be had, and the motion to undo for it (None: raw)."""
+    if len(points) == 0 or is_raw(points):
+        return True, None
+    if len(points) < _MIN_POINTS_FOR_MOTION:
+        return False, None
+    motion = solve_motion(points, start)
+    return motion is not None, motion
+
+
+def _all_strays(scan: Scan) -> Sweep:
+    return _sweep(scan, None, *(np.zeros(0, np.int64) for _ in range(6)))
+
+
+def _sweep(
+    scan: Scan,
+    motion: NDArray[np.float64] | None,
+    on: NDArray[np.int64],
+    laser: NDArray[np.int64],
+    tick: NDArray[np.int64],
+    count: NDArray[np.int64],
+    millimetre: NDArray[np.int64],
+    ulp: NDArray[np.int64],
+) -> Sweep:
+    """Build the sweep whose returns are the points ``on``; the others are strays."""
+    off = np.ones(len(scan), np.bool_)
+    off[on] = False
+    stray = np.flatnonzero(off)
+    return Sweep(
+        name=scan.name,
+        time=scan.time,
+        frame_id=scan.frame_id,
+        n_points=len(scan),
+        motion=motion,
+        step=1,
+        max_error=0.0,
+        laser=laser.astype(np.uint8),
+        tick=tick.astype(np.int32),
+        count=count.astype(np.int32),
+        intensity=scan.intensity[on],
+        millimetre=millimetre.astype(np.uint8),
+        ulp=ulp.astype(np.uint8),
+        classes=None if scan.classes is None else scan.classes[on],
+        stray_index=stray,
+        stray_points=np.column_stack([scan.points[stray], scan.intensity[stray]]),
+        stray_classes=None if scan.classes is None else scan.classes[stray],
+    )
+
+
+def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | None = None) -> Sweep:
+    """Put a scan on its sensor lattice, losslessly.
+
+    Never fails: what does not fit becomes a stray, and a foreign scan is nothing but strays.
+
+    Args:
+        start: motion of the scan before, from which the inversion starts.
+    """
+    finite = np.isfinite(scan.points).all(axis=1) & (np.abs(scan.points) < 1e4).all(axis=1)
+    locked, motion = _find_motion(scan.points[finite], start)
+    if not locked:
+        return _all_strays(scan)
+
+    raw = np.zeros((len(scan), 3), np.int64)
+    usable = finite.copy()
+    raw[finite], usable[finite] = untwist(scan.points[finite], motion)
+    laser = assign_lasers(sensor, raw, usable)
+    tick, count = project(sensor, laser, raw)
+    laser[(count < 0) | (count > _MAX_COUNT)] = -1
+    laser[~_rising(laser, tick, sensor.ticks_per_turn)] = -1
+
+    on = np.flatnonzero(laser >= 0)
+    model = np.rint(unproject(sensor, laser[on].astype(np.uint8), tick[on], count[on]) * 1000.0)
+    millimetre = correction_codes(raw[on] - model.astype(np.int64))
+    published = _millimetres_to_float(raw[on], motion)
+    ulp = correction_codes(ordered_bits(scan.points[on]) - ordered_bits(published))
+    fits = (millimetre >= 0) & (ulp >= 0)
+    if fits.sum() < _MIN_SHARE * len(scan):
+        return _all_strays(scan)
+    on, millimetre, ulp = on[fits], millimetre[fits], ulp[fits]
+    return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre, ulp)
+
+
+def return_points(sweep: Sweep, sensor: SensorModel) -> NDArray[np.float32]:
+    """Return the points ``(M, 3)`` float32 of a sweep's returns, without its strays."""
+    if sweep.step > 1:
+        counts = sweep.count.astype(np.float64) * sweep.step + (sweep.step - 1) / 2
+        points = unproject(sensor, sweep.laser, sweep.tick, counts)
+        return points.astype(np.float32) if sweep.motion is None else twist(points, sweep.motion)
+    model = np.rint(unproject(sensor, sweep.laser, sweep.tick, sweep.count) * 1000.0).astype(np.int64)
+    corrected = np.flatnonzero(sweep.millimetre != NO_CORRECTION)
+    model[corrected] += corrections(sweep.millimetre[corrected])
+    points = _millimetres_to_float(model, sweep.motion)
+    patched = np.flatnonzero(sweep.ulp != NO_CORRECTION)
+    points[patched] = from_ordered_bits(ordered_bits(points[patched]) + corrections(sweep.ulp[patched]))
+    return points
+
+
+def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:
+    """Return the scan of a sweep: exact where ``step`` is 1, else within its ``max_error``."""
+    n = len(sweep)
+    on = np.ones(n, np.bool_)
+    on[sweep.stray_index] = False
+    points = np.empty((n, 3), np.float32)
+    points[on] = return_points(sweep, sensor)
+    points[~on] = sweep.stray_points[:, :3]
+    intensity = np.empty(n, np.float32)
+    intensity[on] = sweep.intensity
+    intensity[~on] = sweep.stray_points[:, 3]
+    classes = None
+    if sweep.classes is not None and sweep.stray_classes is not None:
+        classes = np.empty(n, np.uint8)
+        classes[on] = sweep.classes
+        classes[~on] = sweep.stray_classes
+    return Scan(sweep.name, points, intensity, sweep.time, sweep.frame_id, classes, sweep.motion)
