@@ -32,7 +32,7 @@ _STYLE: Any = {  # rc_context wants its keys as literals
     "axes.edgecolor": "#9aa0aa",
     "legend.frameon": False,
 }
-_WIDTH = 6.2  # inches; narrow enough that the text is readable on a phone
+_WIDTH = 5.6  # inches; narrow enough that the text is readable on a phone
 
 
 @dataclass(frozen=True)

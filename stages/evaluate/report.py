@@ -27,6 +27,7 @@ from salpcc.stages.evaluate.report_tables import all_tables
 from salpcc.stages.evaluate.tables import to_document
 
 REPORT_VERSION = 1
+_PICTURED = 4  # sequences; more would only make the page heavy
 
 
 def build(out: Path) -> dict[str, Any]:
@@ -87,10 +88,10 @@ def _of(rows: pa.Table, sequence: str) -> pa.Table:
 
 
 def _pictures(metrics: pa.Table) -> dict[str, list[Picture]]:
-    """Pictures of each sequence's sample scan."""
-    samples = metrics.filter(pc.is_valid(metrics.column("sample_points")))
+    """Pictures of the sample scans of the first few sequences."""
+    samples = metrics.filter(pc.is_valid(metrics.column("sample_points"))).sort_by("sequence")
     pictures: dict[str, list[Picture]] = {}
-    for row in range(samples.num_rows):
+    for row in range(min(samples.num_rows, _PICTURED)):
         sequence, name = (samples.column(key)[row].as_py() for key in ("sequence", "name"))
         points = samples.column("sample_points")[row].values.to_numpy().reshape(-1, 3)
         error = samples.column("sample_error_m")[row].values.to_numpy()
