@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 class Sweep:
     """A scan as its sensor measured it; gives the scan back exactly (or within ``step``).
 
-    Returns stand ring by ring (laser 0 first), by firing within a ring, starting at the ring's
-    own seam: for KITTI that is the order of the file. What does not fit the lattice is a *stray*:
-    it keeps its place in the file and its float32 values.
+    Returns stand in firing order: ring by ring (laser 0 first), by rising tick within a ring. The
+    order of the file follows from them (:mod:`salpcc.stages.ingest.order`). What does not fit the
+    lattice is a *stray*: it keeps its place in the file and its float32 values.
 
     Attributes:
         name, time, frame_id: as in :class:`~salpcc.schemas.scan.Scan`.
@@ -30,7 +30,7 @@ class Sweep:
             with each of dx, dy, dz in -1, 0, 1 mm; 13 is none. All 13 where ``max_error`` > 0.
         ulp: ``(M,)`` uint8, correction of the last float32 bit, coded alike; 13 is none.
         classes: ``(M,)`` uint8 or None.
-        stray_index: ``(S,)`` int64, ascending places of the strays among the kept points.
+        stray_index: ``(S,)`` int64, ascending places of the strays among the kept points in file order.
         stray_points: ``(S, 4)`` float32, x, y, z, intensity of the strays.
         stray_classes: ``(S,)`` uint8 or None.
     """

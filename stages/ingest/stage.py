@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError
@@ -20,33 +20,38 @@ VERSION = 1
 
 
 def run(gop: GopSource, config: RunConfig) -> pa.Table:
-    """Turn the scans of ``gop`` into a SWEEP table; scans that cannot be read are listed as ``errors``.
-
-    The motion search of a scan starts from its predecessor's within the GOP only, and only where
-    their frame numbers are consecutive: a GOP never depends on another one.
-    """
-    errors: list[ScanError] = []
-    sweeps = list(sweeps_of(_readable(gop, config, errors), load_sensor(config.sensor)))
-    return stamp(sweeps_to_table(sweeps), errors=[vars(error) for error in errors])
-
-
-def sweeps_of(scans: Iterable[tuple[int, Scan]], sensor: SensorModel) -> Iterator[Sweep]:
-    """Project numbered scans of one GOP on the lattice, warm-starting the motion from scan to scan."""
-    before: int | None = None
-    motion = None
-    for number, scan in scans:
-        start = motion if before is not None and number == before + 1 else None
-        sweep = scan_to_sweep(scan, sensor, start)
-        yield sweep
-        before, motion = number, sweep.motion
-
-
-def _readable(gop: GopSource, config: RunConfig, errors: list[ScanError]) -> Iterator[tuple[int, Scan]]:
+    """Turn the scans of ``gop`` into a SWEEP table; scans that fail are listed as ``errors`` in its facts."""
     source = SOURCES[gop.source]
+    project = Projector(load_sensor(config.sensor))
+    sweeps: list[Sweep] = []
+    errors: list[ScanError] = []
     for ref in gop.scans:
         try:
             scan = source.read(ref, with_labels=config.labels == "given")
+            sweeps.append(project(ref.number, scan))
         except SourceError as error:
             errors.append(ScanError(gop.sequence, ref.name, "ingest", str(error)))
-            continue
-        yield ref.number, scan
+        except Exception as error:  # one odd scan must not take the others of its GOP with it
+            reason = f"{ref.path}: {type(error).__name__}: {error}"
+            errors.append(ScanError(gop.sequence, ref.name, "ingest", reason))
+    return stamp(sweeps_to_table(sweeps), errors=[vars(error) for error in errors])
+
+
+class Projector:
+    """Puts the scans of one GOP on the lattice, one after the other.
+
+    The motion search of a scan starts from its predecessor's, but only where their frame numbers are
+    consecutive, and never across GOPs, so a GOP depends on no other.
+    """
+
+    def __init__(self, sensor: SensorModel) -> None:
+        self._sensor = sensor
+        self._before: int | None = None
+        self._motion: NDArray[np.float64] | None = None
+
+    def __call__(self, number: int, scan: Scan) -> Sweep:
+        """Project the scan of frame ``number``."""
+        follows = self._before is not None and number == self._before + 1
+        sweep = scan_to_sweep(scan, self._sensor, self._motion if follows else None)
+        self._before, self._motion = number, sweep.motion
+        return sweep

@@ -9,12 +9,12 @@ and a point that would not come back exactly becomes a stray with its own float3
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.lattice import NO_CORRECTION, correction_codes, corrections, project, unproject
+from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
 from salpcc.stages.ingest.rings import assign_lasers
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist
@@ -44,25 +44,15 @@ def _millimetres_to_float(
     return points if motion is None else twist(points.astype(np.float64), motion)
 
 
-@njit(cache=True)
-def _rising(laser: NDArray[np.int64], tick: NDArray[np.int32], ticks: int) -> NDArray[np.bool_]:
-    """Mark the points whose tick rises along their ring, counted from the ring's first point."""
-    keep = np.zeros(len(laser), np.bool_)
-    ring = -1
-    start = 0
-    last = 0
-    for i in range(len(laser)):
-        if laser[i] < 0:
-            continue
-        if laser[i] != ring:
-            ring = laser[i]
-            start = tick[i]
-            last = -1
-        turn = (tick[i] - start) % ticks
-        if turn > last:
-            keep[i] = True
-            last = turn
-    return keep
+def _fits_lattice(
+    laser: NDArray[np.int64], tick: NDArray[np.int32], model: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Mark points, in file order, that are the only ones of their firing and come back in their place."""
+    keep = in_order(laser, azimuth_keys(model))
+    cell = (laser << 32) | tick
+    first = np.zeros(len(cell), np.bool_)
+    first[np.unique(cell, return_index=True)[1]] = True
+    return keep & first
 
 
 def _find_motion(
@@ -134,50 +124,56 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     raw[finite], usable[finite] = untwist(scan.points[finite], motion)
     laser = assign_lasers(sensor, raw, usable)
     tick, count = project(sensor, laser, raw)
-    laser[(count < 0) | (count > _MAX_COUNT)] = -1
-    laser[~_rising(laser, tick, sensor.ticks_per_turn)] = -1
+    on = np.flatnonzero((laser >= 0) & (count >= 0) & (count <= _MAX_COUNT))
 
-    on = np.flatnonzero(laser >= 0)
-    model = np.rint(unproject(sensor, laser[on].astype(np.uint8), tick[on], count[on]) * 1000.0)
-    millimetre = correction_codes(raw[on] - model.astype(np.int64))
+    model = unproject(sensor, laser[on].astype(np.uint8), tick[on], count[on])
+    millimetre = correction_codes(raw[on] - np.rint(model * 1000.0).astype(np.int64))
     published = _millimetres_to_float(raw[on], motion)
     ulp = correction_codes(ordered_bits(scan.points[on]) - ordered_bits(published))
     fits = (millimetre >= 0) & (ulp >= 0)
+    fits[fits] = _fits_lattice(laser[on][fits], tick[on][fits], model[fits])
     if fits.sum() < _MIN_SHARE * len(scan):
         return _all_strays(scan)
     on, millimetre, ulp = on[fits], millimetre[fits], ulp[fits]
+    firing = np.lexsort((tick[on], laser[on]))
+    on, millimetre, ulp = on[firing], millimetre[firing], ulp[firing]
     return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre, ulp)
 
 
-def return_points(sweep: Sweep, sensor: SensorModel) -> NDArray[np.float32]:
-    """Return the points ``(M, 3)`` float32 of a sweep's returns, without its strays."""
-    if sweep.step > 1:
+def _return_points(
+    sweep: Sweep, sensor: SensorModel
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Return the points ``(M, 3)`` of the returns in firing order, and their order in the file."""
+    if sweep.max_error > 0:
         counts = sweep.count.astype(np.float64) * sweep.step + (sweep.step - 1) / 2
-        points = unproject(sensor, sweep.laser, sweep.tick, counts)
-        return points.astype(np.float32) if sweep.motion is None else twist(points, sweep.motion)
-    model = np.rint(unproject(sensor, sweep.laser, sweep.tick, sweep.count) * 1000.0).astype(np.int64)
+        model = unproject(sensor, sweep.laser, sweep.tick, counts)
+        order = file_order(sweep.laser, azimuth_keys(model))
+        return model.astype(np.float32) if sweep.motion is None else twist(model, sweep.motion), order
+    model = unproject(sensor, sweep.laser, sweep.tick, sweep.count)
+    order = file_order(sweep.laser, azimuth_keys(model))
+    raw = np.rint(model * 1000.0).astype(np.int64)
     corrected = np.flatnonzero(sweep.millimetre != NO_CORRECTION)
-    model[corrected] += corrections(sweep.millimetre[corrected])
-    points = _millimetres_to_float(model, sweep.motion)
+    raw[corrected] += corrections(sweep.millimetre[corrected])
+    points = _millimetres_to_float(raw, sweep.motion)
     patched = np.flatnonzero(sweep.ulp != NO_CORRECTION)
     points[patched] = from_ordered_bits(ordered_bits(points[patched]) + corrections(sweep.ulp[patched]))
-    return points
+    return points, order
 
 
 def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:
-    """Return the scan of a sweep: exact where ``step`` is 1, else within its ``max_error``."""
-    n = len(sweep)
-    on = np.ones(n, np.bool_)
+    """Return the scan of a sweep in file order: exact, or within its ``max_error``."""
+    on = np.ones(len(sweep), np.bool_)
     on[sweep.stray_index] = False
-    points = np.empty((n, 3), np.float32)
-    points[on] = return_points(sweep, sensor)
+    returned, order = _return_points(sweep, sensor)
+    points = np.empty((len(sweep), 3), np.float32)
+    points[on] = returned[order]
     points[~on] = sweep.stray_points[:, :3]
-    intensity = np.empty(n, np.float32)
-    intensity[on] = sweep.intensity
+    intensity = np.empty(len(sweep), np.float32)
+    intensity[on] = sweep.intensity[order]
     intensity[~on] = sweep.stray_points[:, 3]
     classes = None
     if sweep.classes is not None and sweep.stray_classes is not None:
-        classes = np.empty(n, np.uint8)
-        classes[on] = sweep.classes
+        classes = np.empty(len(sweep), np.uint8)
+        classes[on] = sweep.classes[order]
         classes[~on] = sweep.stray_classes
     return Scan(sweep.name, points, intensity, sweep.time, sweep.frame_id, classes, sweep.motion)

@@ -1,0 +1,75 @@
+"""The order of points in a file: ring by ring, by azimuth of the point within a ring.
+
+A sweep holds its returns in firing order (laser, tick). KITTI's files are sorted by the azimuth of
+the point itself, which the lever arm turns by up to a degree at close range, so that returns of
+neighbouring firings change places where the range jumps. The azimuth of the lattice point before it
+was rounded to 1 mm gives the file's order back.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.trig import TWO_PI, arctan2
+
+
+@njit(cache=True)
+def azimuth_keys(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the azimuth in [0, 2 pi] of points ``(M, 3)``, the same on every machine."""
+    keys = np.empty(len(points))
+    for i in range(len(points)):
+        angle = arctan2(points[i, 1], points[i, 0])
+        keys[i] = angle + TWO_PI if angle < 0.0 else angle
+    return keys
+
+
+@njit(cache=True)
+def file_order(laser: NDArray[np.uint8], keys: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the permutation ``(M,)`` that sorts returns in firing order by (laser, key), stably.
+
+    Insertion sort: the input is almost sorted.
+    """
+    order = np.arange(len(laser))
+    for i in range(1, len(laser)):
+        j = i
+        while j > 0 and laser[order[j - 1]] == laser[i] and keys[order[j - 1]] > keys[i]:
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = i
+    return order
+
+
+def in_order(laser: NDArray[np.int64], keys: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mark a largest set of points, given in file order, that sorting by (laser, key) leaves in place.
+
+    Lasers do not fall along the input.
+    """
+    keep = np.ones(len(laser), np.bool_)
+    wrong = (np.diff(keys) <= 0) & (np.diff(laser) == 0)
+    for ring in np.unique(laser[1:][wrong]):
+        begin, end = np.searchsorted(laser, [ring, ring + 1])
+        keep[begin:end] = _longest_rise(keys[begin:end])
+    return keep
+
+
+def _longest_rise(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mark a longest strictly increasing subsequence (patience sorting)."""
+    tails: list[float] = []
+    tail_index: list[int] = []
+    before = np.full(len(values), -1, np.int64)
+    for i, value in enumerate(values.tolist()):
+        place = bisect_left(tails, value)
+        if place:
+            before[i] = tail_index[place - 1]
+        tails[place : place + 1] = [value]
+        tail_index[place : place + 1] = [i]
+    keep = np.zeros(len(values), np.bool_)
+    i = tail_index[-1] if tail_index else -1
+    while i >= 0:
+        keep[i] = True
+        i = int(before[i])
+    return keep
