@@ -1,1 +1,44 @@
-"""Baselines: the codecs that this project is compared with, one file each."""
+"""Baselines: the codecs that this project is compared with, one contract (see ``contract.py``)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from salpcc.schemas.errors import UsageError
+from salpcc.stages.evaluate.baselines.contract import Baseline
+from salpcc.stages.evaluate.baselines.draco import DRACO, DRACO_SEQUENTIAL
+from salpcc.stages.evaluate.baselines.generic import BROTLI, BZIP2, XZ, ZSTD
+from salpcc.stages.evaluate.baselines.laszip import LASZIP
+from salpcc.stages.evaluate.baselines.octree import OCTREE
+from salpcc.stages.evaluate.baselines.png import PNG
+from salpcc.stages.evaluate.baselines.ppmd import PPMD
+
+BASELINES: Mapping[str, Baseline] = {
+    "draco": DRACO,
+    "draco_sequential": DRACO_SEQUENTIAL,
+    "laszip": LASZIP,
+    "octree": OCTREE,
+    "png": PNG,
+    "xz": XZ,
+    "zstd": ZSTD,
+    "brotli": BROTLI,
+    "bzip2": BZIP2,
+    "ppmd": PPMD,
+}
+
+
+def names(selection: str) -> tuple[str, ...]:
+    """Resolve ``all``, ``none`` or ``NAME,NAME`` to names of the registry.
+
+    Raises:
+        UsageError: a name is not in the registry.
+    """
+    if selection == "all":
+        return tuple(BASELINES)
+    if selection == "none":
+        return ()
+    asked = tuple(dict.fromkeys(part.strip() for part in selection.split(",") if part.strip()))
+    unknown = [name for name in asked if name not in BASELINES]
+    if unknown:
+        raise UsageError(f"no baseline {', '.join(unknown)}; choose from {', '.join(BASELINES)}, all or none")
+    return asked

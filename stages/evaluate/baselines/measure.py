@@ -1,0 +1,107 @@
+"""Run one baseline on one scan at one asked error, and measure what comes back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from salpcc.schemas.scan import Scan
+from salpcc.stages.evaluate.baselines import BASELINES
+from salpcc.stages.evaluate.baselines.contract import Baseline, Points
+from salpcc.stages.evaluate.metrics import point_errors, same_bits, symmetric_distance
+
+ERRORS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # metres; what users ask for, and a curve's worth of them
+
+_T = TypeVar("_T")
+
+
+def asked_errors(name: str) -> tuple[float, ...]:
+    """Return the errors that a baseline is measured at: 0 alone where it is bit-exact."""
+    return (0.0,) if BASELINES[name].promise.bound == "exact" else ERRORS
+
+
+def measure(name: str, scan: Scan, sequence: str, max_error: float) -> dict[str, Any]:
+    """Return one BASELINES row. Never raises for what the codec does: the row's status says it."""
+    baseline = BASELINES[name]
+    row: dict[str, Any] = {
+        "baseline": name,
+        "sequence": sequence,
+        "name": scan.name,
+        "max_error": max_error,
+        "points_in": len(scan),
+    }
+    missing = [package for package in baseline.packages if find_spec(package) is None]
+    if missing:
+        absent = ", ".join(missing)
+        return row | {"status": f"not run: {absent} missing, pip install 'salpcc-pipeline[baselines]'"}
+    try:
+        _warm_up(name)
+        return row | _measure(baseline, scan, max_error) | {"status": "ok"}
+    except Exception as error:  # noqa: BLE001  whatever a foreign codec throws costs its row and nothing else
+        return row | {"status": f"failed: {error or type(error).__name__}"}
+
+
+@cache
+def _warm_up(name: str) -> None:
+    """Let imports and compilation happen once a process, outside the measured times."""
+    baseline = BASELINES[name]
+    corner = np.array([[1.0, 2.0, 0.5], [3.0, -1.0, 0.25]], np.float32)
+    baseline.decode(baseline.encode(corner, 0.0 if baseline.promise.bound == "exact" else 0.01))
+
+
+def _measure(baseline: Baseline, scan: Scan, max_error: float) -> dict[str, Any]:
+    """Encode and decode the geometry, and with intensity where the codec carries it; compare.
+
+    Times are those of all that the codec carries.
+    """
+    points = np.ascontiguousarray(scan.points)
+    data, encode_ms = _timed(lambda: baseline.encode(points, max_error))
+    row: dict[str, Any] = {"bytes_geometry": len(data)}
+    whole = points
+    if baseline.promise.intensity:
+        whole = np.column_stack([scan.points, scan.intensity])
+        data, encode_ms = _timed(lambda: baseline.encode(whole, max_error))
+        row["bytes_total"] = len(data)
+    decoded, decode_ms = _timed(lambda: baseline.decode(data))
+    row |= {"encode_ms": encode_ms, "decode_ms": decode_ms, "points_decoded": len(decoded)}
+    in_order = baseline.promise.order and len(decoded) == len(points)
+    row |= {"in_order": in_order, "bit_exact": same_bits(whole, decoded)}
+    return row | (_errors_in_order if in_order else _errors_nearest)(points, decoded[:, :3])
+
+
+def _errors_in_order(source: Points, decoded: Points) -> dict[str, Any]:
+    decoded = np.ascontiguousarray(decoded)
+    errors = point_errors(source, decoded)
+    return {
+        "max_error_m": errors.maximum,
+        "max_axis_error_m": errors.max_axis,
+        "squared_error_m2": errors.sum_of_squares,
+        "d_d_m2": 0.0 if same_bits(source, decoded) else symmetric_distance(source, decoded),
+    }
+
+
+def _errors_nearest(source: Points, decoded: Points) -> dict[str, Any]:
+    """Nearest-neighbour errors, the worse of both ways: all that can be said once the order is gone."""
+    a, b = source.astype(np.float64), decoded.astype(np.float64)
+    of_a, of_b = cKDTree(a), cKDTree(b)
+    there, back = np.asarray(of_b.query(a)[0]), np.asarray(of_a.query(b)[0])
+    axis = max(np.max(of_b.query(a, p=np.inf)[0]), np.max(of_a.query(b, p=np.inf)[0]))
+    return {
+        "max_error_m": float(max(there.max(), back.max())),
+        "max_axis_error_m": float(axis),
+        "squared_error_m2": float(np.square(back).sum()),  # over points_decoded
+        "d_d_m2": float(np.square(there).mean() / 2 + np.square(back).mean() / 2),
+    }
+
+
+def _timed(work: Callable[[], _T]) -> tuple[_T, float]:
+    """Return what ``work`` gives and its CPU milliseconds."""
+    start = time.process_time()
+    result = work()
+    return result, 1e3 * (time.process_time() - start)
