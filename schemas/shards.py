@@ -32,6 +32,7 @@ _SWEEP_FIELDS = [
     pa.field("n_points", pa.int64(), nullable=False),
     pa.field("motion", _list(pa.float64())),
     pa.field("step", pa.int32(), nullable=False),
+    pa.field("max_error", pa.float64(), nullable=False),
     pa.field("laser", _list(pa.uint8()), nullable=False),
     pa.field("tick", _list(pa.int32()), nullable=False),
     pa.field("count", _list(pa.int32()), nullable=False),
@@ -43,7 +44,7 @@ _SWEEP_FIELDS = [
     pa.field("stray_points", _list(pa.float32()), nullable=False),
     pa.field("stray_classes", _list(pa.uint8())),
 ]
-_SCALARS = ("name", "time", "frame_id", "n_points", "step")
+_SCALARS = ("name", "time", "frame_id", "n_points", "step", "max_error")
 _ARRAYS = {f.name: f.type for f in _SWEEP_FIELDS if f.name not in _SCALARS}
 
 SWEEP = pa.schema(_SWEEP_FIELDS)

@@ -31,7 +31,7 @@ def run(gop: GopSource, config: RunConfig) -> pa.Table:
             sweeps.append(project(ref.number, scan))
         except SourceError as error:
             errors.append(ScanError(gop.sequence, ref.name, "ingest", str(error)))
-        except Exception as error:  # one odd scan must not take the others of its GOP with it
+        except Exception as error:  # noqa: BLE001 (one odd scan must not take the others of its GOP with it)
             reason = f"{ref.path}: {type(error).__name__}: {error}"
             errors.append(ScanError(gop.sequence, ref.name, "ingest", reason))
     return stamp(sweeps_to_table(sweeps), errors=[vars(error) for error in errors])

@@ -33,13 +33,13 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     return np.ascontiguousarray(rows[:, :3]), np.ascontiguousarray(rows[:, 3])
 
 
-def write_points(path: Path, points: NDArray[np.float32], intensity: NDArray[np.float32]) -> None:
-    """Write a ``.bin``; inverse of :func:`read_points`."""
-    rows = np.empty((len(points), 4), "<f4")
-    # Viewed as integers, so that no bit of a NaN changes on the way.
-    rows.view("<u4")[:, :3] = np.ascontiguousarray(points, "<f4").view("<u4")
-    rows.view("<u4")[:, 3] = np.ascontiguousarray(intensity, "<f4").view("<u4")
-    path.write_bytes(rows.tobytes())
+def points_to_bytes(points: NDArray[np.float32], intensity: NDArray[np.float32]) -> bytes:
+    """Return the content of a ``.bin``; inverse of :func:`read_points`."""
+    rows = np.empty((len(points), 4), "<u4")
+    # Copied as integers, so that no bit of a NaN changes on the way.
+    rows[:, :3] = np.ascontiguousarray(points, "<f4").view("<u4")
+    rows[:, 3] = np.ascontiguousarray(intensity, "<f4").view("<u4")
+    return rows.tobytes()
 
 
 def list_scans(folder: Path, times: list[int] | None, labels: Path | None) -> list[ScanRef]:

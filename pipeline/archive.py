@@ -1,0 +1,134 @@
+"""The Python door to archives: open, count, index, iterate.
+
+::
+
+    from salpcc.pipeline import Archive
+
+    with Archive.open("04.mcap") as archive:
+        scan = archive[3]  # decodes the GOP of scan 3, up to it
+        for scan in archive:
+            scan.points, scan.intensity, scan.classes, scan.time, scan.motion
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self, overload
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.sweep import sweep_to_scan
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.gop import decode_gop
+
+
+def decode_scans(reader: ArchiveReader, gop: int) -> Iterator[Scan]:
+    """Decode the scans of one GOP, one after the other.
+
+    Raises:
+        ArchiveError: a payload is damaged; the message names the first scan that did not come back.
+    """
+    payloads = reader.payloads(gop)
+    sensor = reader.facts.sensor
+    sweeps = iter(decode_gop((payload.data for payload in payloads), sensor))
+    for payload in payloads:
+        try:
+            sweep = next(sweeps)
+        except StopIteration:
+            raise ArchiveError(f"{reader.path}: scan {payload.entry.name} is missing from its GOP") from None
+        except ArchiveError as error:
+            raise ArchiveError(f"{reader.path}: scan {payload.entry.name}: {error}") from error
+        sweep = replace(sweep, name=payload.entry.name, time=payload.time, frame_id=payload.frame_id)
+        yield sweep_to_scan(sweep, sensor)
+
+
+class Archive:
+    """The scans of one archive as a read-only sequence.
+
+    Random access decodes at most one GOP, from its first scan to the one asked for; going on from there
+    decodes each scan once. Only the GOP in hand is kept in memory. An archive can be pickled and
+    forked: a copy starts with nothing decoded and shares no open file.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open an archive.
+
+        Raises:
+            ArchiveError: not an archive, damaged, truncated, or of a newer major version.
+        """
+        self._reader = ArchiveReader(path)
+        self._places = [(g, i) for g, gop in enumerate(self._reader.gops) for i in range(len(gop))]
+        self._forget()
+
+    @classmethod
+    def open(cls, path: str | Path) -> Archive:
+        """Open an archive; the same as the constructor, reads well in a ``with`` statement."""
+        return cls(path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._forget()
+
+    @property
+    def sequence(self) -> str:
+        """Name of the sequence."""
+        return self._reader.facts.sequence
+
+    @property
+    def sensor(self) -> SensorModel:
+        """The sensor model that the archive carries."""
+        return self._reader.facts.sensor
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration that the archive was coded with."""
+        return self._reader.facts.config
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the scans, in order."""
+        return [self._reader.gops[g][i].name for g, i in self._places]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, index: int) -> Scan: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Scan]: ...
+    def __getitem__(self, index: int | slice) -> Scan | list[Scan]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"scan {index} of {len(self)}")
+        gop, place = self._places[index]
+        if gop != self._gop:
+            self._gop, self._decoded, self._decoder = gop, [], decode_scans(self._reader, gop)
+        try:
+            while len(self._decoded) <= place:
+                self._decoded.append(next(self._decoder))
+        except BaseException:
+            self._forget()  # a broken decoder must not be asked again
+            raise
+        return self._decoded[place]
+
+    def __iter__(self) -> Iterator[Scan]:
+        for gop in range(len(self._reader.gops)):
+            yield from decode_scans(self._reader, gop)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"reader": self._reader, "places": self._places}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._reader, self._places = state["reader"], state["places"]
+        self._forget()
+
+    def _forget(self) -> None:
+        self._gop = -1
+        self._decoded: list[Scan] = []
+        self._decoder: Iterator[Scan] = iter(())

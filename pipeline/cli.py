@@ -1,0 +1,57 @@
+"""The command line. Only here anything is printed and exit codes are chosen: 0 done, 1 failed, 2 wrong use."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from salpcc.pipeline import cli_archive, cli_data, cli_run
+from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.store import TOOL
+from salpcc.schemas.errors import SalpccError, UsageError
+
+app = typer.Typer(
+    name="salpcc-pipeline",
+    help="Recorded LiDAR scans in, compact bit-exact archives and a report out; and back again.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.add_typer(cli_run.app, name="run")
+cli_archive.register(app)
+cli_data.register(app)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(TOOL)
+        raise typer.Exit
+
+
+@app.callback()
+def _root(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True)) -> None:
+    """Recorded LiDAR scans in, compact bit-exact archives and a report out; and back again."""
+
+
+def main() -> None:
+    """Run the command line (entry point of ``salpcc-pipeline``)."""
+    try:
+        app()
+    except UsageError as error:
+        _fail(str(error), 2)
+    except SalpccError as error:
+        _fail(str(error), 1)
+    except KeyboardInterrupt:
+        _fail("interrupted; the same command goes on where it stopped", 1)
+
+
+def _fail(line: str, code: int) -> None:
+    STDERR.print(f"error: {line}", soft_wrap=True, markup=False, style="red")
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

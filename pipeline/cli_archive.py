@@ -1,0 +1,121 @@
+"""``decode``, ``verify``, ``inspect``: what one does with archives."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.cli_run import parse_frames
+from salpcc.pipeline.export import EXPORTS
+from salpcc.pipeline.inspect import inspect as describe
+from salpcc.pipeline.verify import verify as verify_archive
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.scan import Scan
+
+Path_ = Annotated[Path, typer.Argument(metavar="ARCHIVE", help="An archive, OUT/archives/SEQ.mcap")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the application."""
+    app.command(epilog="Example:  `salpcc-pipeline decode out/archives/04.mcap --to kitti --out back`")(
+        decode
+    )
+    app.command(epilog="Example:  `salpcc-pipeline verify out/archives/04.mcap --against DIR`")(verify)
+    app.command(epilog="Example:  `salpcc-pipeline inspect out/archives/04.mcap`")(inspect)
+    unavailable = {"ignore_unknown_options": True, "allow_extra_args": True}
+    app.command(name="map", hidden=True, context_settings=unavailable)(map_)
+
+
+def decode(
+    archive: Path_,
+    to: Annotated[str, typer.Option(help=" | ".join(EXPORTS))],
+    out: Annotated[Path, typer.Option(help="Where the scans are written")],
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
+) -> None:
+    """Turn an archive back into scans, bit for bit where it was made so."""
+    if to not in EXPORTS:
+        raise UsageError(f"--to {to}: choose from {', '.join(EXPORTS)}")
+    with Archive.open(archive) as opened:
+        count = 0
+        for path in EXPORTS[to](opened, _selected(opened, frames), out):
+            count += 1
+            folder = path.parent
+        if not count:
+            raise UsageError(f"--frames {frames}: no scan of {archive} lies there")
+        typer.echo(f"{count} file{'s' if count > 1 else ''} in {folder}")
+
+
+def _selected(archive: Archive, frames: str | None) -> Iterator[Scan]:
+    """Scans by frame number: the name where it is a number, else the place."""
+    selection = parse_frames(frames)
+    if selection is None:
+        yield from archive
+        return
+    first, last = selection
+    for place, name in enumerate(archive.names):
+        if first <= (int(name) if name.isdecimal() else place) < last:
+            yield archive[place]
+
+
+def verify(
+    archive: Path_,
+    against: Annotated[
+        Path | None, typer.Option(help="Data root; compares every point with its source")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Check every checksum and decode everything; with --against, compare with the source."""
+    verdict = verify_archive(archive, against)
+    if json_:
+        typer.echo(json.dumps(verdict.as_dict(), indent=1))
+    else:
+        for problem in verdict.problems:
+            typer.echo(f"PROBLEM {problem}")
+        typer.echo(
+            f"{'ok' if verdict.good else 'DAMAGED'}: {archive}: {verdict.scans} scans, {verdict.points} points"
+            + _compared(verdict.as_dict())
+        )
+    raise typer.Exit(0 if verdict.good else 1)
+
+
+def _compared(verdict: dict[str, Any]) -> str:
+    if verdict["against"] is None:
+        return "; checksums only"
+    error = verdict["max_error_m"]
+    return (
+        f"; against {verdict['against']}: {verdict['bit_exact_scans']} scans bit-exact, "
+        f"{verdict['points_dropped']} points dropped, largest error {'-' if error is None else f'{error:g} m'}"
+    )
+
+
+def inspect(
+    path: Annotated[Path, typer.Argument(metavar="ARCHIVE|SHARD", help="A .mcap archive or an .arrow shard")],
+    json_: Json = False,
+) -> None:
+    """Show what is in an archive or a shard, without decoding it."""
+    found = describe(path)
+    if json_:
+        typer.echo(json.dumps(found, indent=1, default=str))
+        return
+    console = Console()
+    for key, value in found.items():
+        if key not in ("rows", "columns"):
+            console.print(f"{key}: {value}", highlight=False, soft_wrap=True)
+    rows = found["rows"]
+    table = Table(*(rows[0] if rows else ()))
+    for row in rows:
+        table.add_row(*(str(value) for value in row.values()))
+    console.print(table)
+
+
+def map_() -> None:
+    """Build a clean map from decoded scans (not in this version)."""
+    raise UsageError("map is not in this version yet; `decode --to ply` gives scans to map with other tools")

@@ -1,0 +1,73 @@
+"""``simulate``, ``calibrate``, ``report``: data in, sensor models, and reports again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salpcc.pipeline.progress import STDERR
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import atomic
+from salpcc.schemas.manifest import expand_sequences
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the application."""
+    app.command(epilog="Example:  `salpcc-pipeline simulate --out DIR --sequences 00,01 --scans 16`")(
+        simulate
+    )
+    app.command(
+        epilog="Example:  `salpcc-pipeline calibrate DIR/2011_09_26_drive_0005_sync --out sensor.json`"
+    )(calibrate)
+    app.command(epilog="Example:  `salpcc-pipeline report out`")(report)
+    unavailable = {"ignore_unknown_options": True, "allow_extra_args": True}
+    app.command(name="train", hidden=True, context_settings=unavailable)(train)
+
+
+def simulate(
+    out: Annotated[Path, typer.Option(help="Root that gets sequences/SEQ/…")],
+    sequences: Annotated[str, typer.Option(help="Names, as in run sequences; they seed the street")] = "00",
+    scans: Annotated[int, typer.Option(min=1, help="Scans per sequence")] = 16,
+) -> None:
+    """Simulate labelled drives in SemanticKITTI layout."""
+    from salpcc.stages.ingest.sources.simulated import Simulated
+
+    for sequence in expand_sequences(sequences):
+        if (out / "sequences" / sequence).exists():
+            raise UsageError(f"{out / 'sequences' / sequence} exists; choose another --out or delete it")
+        STDERR.print(f"simulating sequence {sequence} …", style="dim")
+        refs = Simulated().make(out, sequence, scans)
+        typer.echo(f"{len(refs)} scans in {out / 'sequences' / sequence}")
+
+
+def calibrate(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A folder of .bin scans, or one above it")],
+    out: Annotated[Path, typer.Option(help="Where the sensor model is written")],
+    start: Annotated[str, typer.Option(help="Sensor model to start from")] = "hdl64e",
+    scans: Annotated[int, typer.Option(min=1, help="At most this many scans, evenly spread")] = 40,
+) -> None:
+    """Refit the sensor model on recorded scans."""
+    from salpcc.pipeline.calibrate import calibrate_log
+
+    model, summary = calibrate_log(log, start, scans)
+    with atomic(out) as stream:
+        stream.write(model.to_json().encode())
+    typer.echo(summary)
+    typer.echo(f"sensor model: {out}")
+
+
+def report(out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run")]) -> None:
+    """Rebuild the tables, plots and page of a run from what it measured."""
+    from salpcc.stages.evaluate.report import build
+
+    if not (out / "report").is_dir():
+        raise UsageError(f"{out}: no report there; name the --out of a run")
+    build(out)
+    typer.echo(f"report: {out / 'report' / 'index.html'}")
+
+
+def train() -> None:
+    """Train the networks (not in this version)."""
+    raise UsageError("train is not in this version yet")

@@ -1,0 +1,185 @@
+"""``salpcc-pipeline run``: the main job."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+from rich.console import Console
+from rich.table import Table
+
+from salpcc.pipeline.graph import GraphOptions
+from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
+from salpcc.schemas.config import Effort, Labels, Profile, RunConfig
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.manifest import Manifest, expand_sequences, load_manifest
+from salpcc.schemas.work import STAGES
+from salpcc.stages.ingest.sources import SOURCES
+
+app = typer.Typer(help="Encode recorded scans to archives and report what it cost.", no_args_is_help=True)
+DEFAULT_MANIFEST = Path("data_manifest.yaml")
+
+
+@app.command(
+    epilog="Examples:  `salpcc-pipeline run sequences 00-07,09 --root DIR --keep-movable`  ·  "
+    "`salpcc-pipeline run sequences 00,01 --source simulated --max-error 0.02 --out out`"
+)
+def sequences(
+    names: Annotated[
+        str, typer.Argument(metavar="SEQUENCES", help="04 · 00,04,07 · 11-21 · a split of the manifest")
+    ],
+    root: Annotated[
+        Path | None, typer.Option(help="Where the data lie [default: the manifest's root]")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Archives, report and shards go here")] = Path("out"),
+    manifest: Annotated[Path, typer.Option(help="Sources, sequences, splits")] = DEFAULT_MANIFEST,
+    source: Annotated[str, typer.Option(help=f"{' | '.join(SOURCES)}")] = "semantickitti",
+    profile: Annotated[Profile, typer.Option(help="sensor lattice, or the paper's grid")] = "sensor",
+    max_error: Annotated[
+        float | None, typer.Option(help="Metres, 3-D, per point [default: bit-exact]")
+    ] = None,
+    keep_movable: Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")] = False,
+    labels: Annotated[Labels, typer.Option(help="From the network, or from .label files")] = "network",
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
+    effort: Annotated[Effort, typer.Option(help="How hard to search for fewer bits")] = "default",
+    gop: Annotated[int, typer.Option(help="Scans per group of pictures")] = 8,
+    sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")
+    ] = None,
+    from_stage: Annotated[str | None, typer.Option("--from", help=f"Redo from: {' | '.join(STAGES)}")] = None,
+    to_stage: Annotated[str, typer.Option("--to", help="Stop after this stage, keeping its shards")] = STAGES[
+        -1
+    ],
+    keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,
+    baselines: Annotated[str, typer.Option(help="all | none | NAME,NAME")] = "none",
+    device: Annotated[str, typer.Option(help="cpu | cuda, for the networks")] = "cpu",
+    json_: Annotated[bool, typer.Option("--json", help="Print report.json to stdout")] = False,
+) -> None:
+    """Encode sequences of scans, decode them again, measure, report."""
+    if source not in SOURCES:
+        raise UsageError(f"--source {source}: choose from {', '.join(SOURCES)}")
+    entry = _manifest(manifest).sources.get(source)
+    if root is None and entry is not None:
+        root = entry.root
+    if root is None and source != "simulated":
+        raise UsageError(
+            f"--root is missing: where are the scans? {SOURCES[source].hint}. Or try it without data: --source simulated"
+        )
+    config = _config(
+        source=source,
+        profile=profile,
+        max_error=max_error,
+        keep_movable=keep_movable,
+        labels=labels,
+        effort=effort,
+        gop=gop,
+        sensor=sensor,
+        frames=parse_frames(frames),
+        baselines=tuple(part for part in baselines.split(",") if part and part != "none"),
+        device=device,
+    )
+    request = RunRequest(
+        config=config,
+        sequences=expand_sequences(names, entry.splits if entry else None),
+        out=out,
+        root=root,
+        workers=workers,
+        scheduler=scheduler,
+        graph=_stages(from_stage, to_stage, keep_shards),
+        command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
+    )
+    result = run_sequences(request)
+    _show(result, out, json_)
+    raise typer.Exit(1 if result.failed else 0)
+
+
+@app.command(hidden=True, context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
+def log() -> None:
+    """Encode ROS bags and MCAP logs (not in this version)."""
+    raise UsageError("run log is not in this version yet; `run sequences` reads KITTI layouts")
+
+
+def _manifest(path: Path) -> Manifest:
+    """Only a manifest that somebody asked for has to be there."""
+    return Manifest() if path == DEFAULT_MANIFEST and not path.exists() else load_manifest(path)
+
+
+def parse_frames(text: str | None) -> tuple[int, int] | None:
+    """Parse ``A:B``: frame numbers A to B - 1; either may be left out."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d*):(\d*)", text)
+    if match is None:
+        raise UsageError(f"--frames {text}: expected A:B, frame numbers A to B - 1, such as 0:100")
+    return int(match[1] or 0), int(match[2] or 2**31)
+
+
+def _config(**values: object) -> RunConfig:
+    try:
+        return RunConfig.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        option = str(first["loc"][0]).replace("_", "-") if first["loc"] else "options"
+        raise UsageError(f"--{option}: {first['msg']}") from error
+
+
+def _stages(first: str | None, last: str, keep: bool) -> GraphOptions:
+    for option, stage in (("--from", first), ("--to", last)):
+        if stage is not None and stage not in STAGES:
+            raise UsageError(f"{option} {stage}: choose from {', '.join(STAGES)}")
+    if first is not None and STAGES.index(first) > STAGES.index(last):
+        raise UsageError(f"--from {first} --to {last}: the stages run the other way round")
+    return GraphOptions(first or STAGES[0], last, first is not None, keep)
+
+
+def _show(result: RunResult, out: Path, json_: bool) -> None:
+    for error in result.errors:
+        STDERR.print(f"failed: {error.sequence}/{error.scan}: {error.reason}", soft_wrap=True, markup=False)
+    if result.report is None:
+        STDERR.print(f"stopped as asked; shards are in {out / 'shards'}", soft_wrap=True)
+        return
+    if json_:
+        sys.stdout.write((out / "report" / "report.json").read_text())
+        return
+    console = Console()
+    table = Table(title=f"bits per input point ({out / 'archives'})")
+    for column in (
+        "sequence",
+        "scans",
+        "points",
+        "geometry",
+        "intensity",
+        "total",
+        "% of raw",
+        "max error",
+        "fallback",
+    ):
+        table.add_column(column, justify="left" if column == "sequence" else "right")
+    for name, figures in result.report["sequences"].items():
+        table.add_row(name, *_cells(figures))
+    console.print(table)
+    console.print(f"report: {out / 'report' / 'index.html'}", soft_wrap=True)
+
+
+def _cells(figures: dict[str, object]) -> list[str]:
+    bpp = figures["bpp"]
+    assert isinstance(bpp, dict)
+    error = figures["max_error_m"]
+    return [
+        str(figures["frames"]),
+        str(figures["points_in"]),
+        *(f"{bpp[key]:.2f}" if bpp[key] is not None else "-" for key in ("geometry", "intensity", "total")),
+        f"{figures['compression_rate_percent']:.2f}",
+        "exact" if error == 0 else "-" if error is None else f"{1e3 * float(str(error)):.2f} mm",
+        str(figures["points_on_fallback"]),
+    ]

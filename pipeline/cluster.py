@@ -1,0 +1,66 @@
+"""Where tasks run: a local cluster of one-thread processes, or any Dask cluster by its address."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import dask
+from distributed import Client, LocalCluster
+
+from salpcc.schemas.errors import UsageError
+
+# One thread a worker, so that workers scale; freed memory goes back at once.
+_WORKER_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+    "MALLOC_TRIM_THRESHOLD_": "65536",
+}
+
+
+@contextmanager
+def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
+    """Yield a Dask client.
+
+    Args:
+        workers: number of local processes; None is one per core, 0 runs in this very process.
+        scheduler: address of a running scheduler, used instead of a local cluster.
+
+    Raises:
+        UsageError: the scheduler does not answer.
+    """
+    logging.getLogger("distributed").setLevel(logging.ERROR)
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout="10s")
+        except (OSError, ValueError, TimeoutError) as error:
+            raise UsageError(
+                f"--scheduler {scheduler}: no answer; start one with `dask scheduler`"
+            ) from error
+        with client:
+            yield client
+        return
+    count = workers if workers is not None else len(os.sched_getaffinity(0))
+    settings = {
+        "distributed.worker.daemon": True,
+        "distributed.nanny.pre-spawn-environ": _WORKER_ENVIRONMENT,
+        "distributed.admin.tick.limit": "60s",
+        "distributed.scheduler.worker-saturation": 1.0,
+    }
+    with (
+        dask.config.set(settings),
+        LocalCluster(
+            n_workers=max(count, 1),
+            threads_per_worker=1,
+            processes=count > 0,
+            memory_limit=0,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.ERROR,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client

@@ -1,0 +1,69 @@
+"""Encode scans that are arrays, not files: the stages of a run, one after the other in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.scan import Scan
+from salpcc.schemas.shards import sweeps_to_table
+from salpcc.stages.ground_fit import stage as ground_fit
+from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.ingest.stage import Projector
+from salpcc.stages.predict import stage as predict
+from salpcc.stages.residual_code import stage as residual_code
+from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.segment import stage as segment
+
+
+def encode_scans(scans: Iterable[Scan], path: str | Path, sequence: str = "scans", **options: Any) -> Path:
+    """Encode scans to an archive; :class:`~salpcc.pipeline.archive.Archive` gives them back.
+
+    Scans are taken one GOP at a time, so a generator of any length will do. Their names must differ and
+    may hold no slash; names of digits are taken as frame numbers.
+
+    Args:
+        options: fields of :class:`~salpcc.schemas.config.RunConfig`, e.g. ``max_error=0.01``,
+            ``keep_movable=True``. With ``labels="given"`` every scan needs its ``classes``.
+
+    Raises:
+        SalpccError: an option is wrong, the sensor is unknown.
+    """
+    config = resolve(RunConfig(**options))
+    facts = ArchiveFacts(sequence, "arrays", "", config.coding, load_sensor(config.sensor))
+    write_archive(Path(path), facts, _gops(iter(scans), config))
+    return Path(path)
+
+
+def resolve(config: RunConfig) -> RunConfig:
+    """Fill in what the names in a configuration stand for: the digest of the sensor model."""
+    return config.model_copy(update={"sensor_digest": load_sensor(config.sensor).digest})
+
+
+def payloads_of(table: pa.Table) -> list[ScanPayload]:
+    """Take the coded scans out of a PAYLOAD table."""
+    counts = list(ScanEntry.__dataclass_fields__)
+    return [
+        ScanPayload(ScanEntry(**{k: row[k] for k in counts}), row["time"], row["frame_id"], row["data"])
+        for row in table.to_pylist()
+    ]
+
+
+def _gops(scans: Iterator[Scan], config: RunConfig) -> Iterator[list[ScanPayload]]:
+    sensor = load_sensor(config.sensor)
+    place = 0
+    while group := list(islice(scans, config.gop)):
+        project = Projector(sensor)
+        sweeps = []
+        for scan in group:
+            sweeps.append(project(int(scan.name) if scan.name.isdecimal() else place, scan))
+            place += 1
+        task = segment.run(sweeps_to_table(sweeps), config)
+        planes = ground_fit.run(task, config)
+        yield payloads_of(residual_code.run(task, planes, predict.run(task, planes, config), config))

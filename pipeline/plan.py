@@ -1,0 +1,73 @@
+"""The plan of a run: which scans of which sequences, cut into GOPs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import SourceError, UsageError
+from salpcc.schemas.work import GopSource, ScanError, ScanRef
+from salpcc.stages.ingest.sources import SOURCES
+
+
+@dataclass(frozen=True)
+class SequencePlan:
+    """The GOPs of one sequence, in order."""
+
+    sequence: str
+    gops: tuple[GopSource, ...]
+
+    @property
+    def n_scans(self) -> int:
+        """Scans of all GOPs."""
+        return sum(len(gop.scans) for gop in self.gops)
+
+
+def plan_run(
+    root: Path, sequences: list[str], config: RunConfig
+) -> tuple[list[SequencePlan], list[ScanError]]:
+    """List the work. A sequence that is missing is an error of its own; the others go on.
+
+    Raises:
+        UsageError: the root is missing, or none of the sequences is there.
+    """
+    source = SOURCES[config.source]
+    if not root.is_dir():
+        raise UsageError(missing_root(root, config.source))
+    plans: list[SequencePlan] = []
+    missing: list[ScanError] = []
+    for sequence in sequences:
+        try:
+            refs = select(source.scans(root, sequence), config.frames)
+            if not refs:
+                raise SourceError(f"{root}: sequence {sequence} has no scans in the frames asked for")
+        except SourceError as error:
+            missing.append(ScanError(sequence, "", "ingest", str(error)))
+            continue
+        plans.append(SequencePlan(sequence, cut(config.source, sequence, refs, config.gop)))
+    if not plans:
+        there = ", ".join(source.sequences(root)) or "none"
+        raise UsageError(
+            f"{missing[0].reason} (sequences there: {there}; to try without data: --source simulated)"
+        )
+    return plans, missing
+
+
+def missing_root(root: Path, source: str) -> str:
+    """The one line that a missing data root is answered with."""
+    return (
+        f"data root {root} not found. {SOURCES[source].hint}. "
+        "Pass --root DIR, or try it without data: salpcc-pipeline run sequences 00,01 --source simulated"
+    )
+
+
+def select(refs: list[ScanRef], frames: tuple[int, int] | None) -> list[ScanRef]:
+    """Keep the scans whose frame number lies in ``[frames[0], frames[1])``."""
+    return [ref for ref in refs if frames is None or frames[0] <= ref.number < frames[1]]
+
+
+def cut(source: str, sequence: str, refs: list[ScanRef], size: int) -> tuple[GopSource, ...]:
+    """Cut a sequence into GOPs of ``size`` scans; the last may be shorter."""
+    groups = [tuple(refs[start : start + size]) for start in range(0, len(refs), size)]
+    return tuple(GopSource(source, sequence, number, group) for number, group in enumerate(groups))

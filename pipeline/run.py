@@ -1,0 +1,161 @@
+"""A run from request to report: plan the work, hold the output, run the graph, gather what it measured."""
+
+from __future__ import annotations
+
+import json
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from salpcc.pipeline.cluster import connect
+from salpcc.pipeline.encode import resolve
+from salpcc.pipeline.graph import Graph, GraphOptions, Outcome
+from salpcc.pipeline.lock import locked
+from salpcc.pipeline.plan import SequencePlan, plan_run
+from salpcc.pipeline.progress import STDERR, Report, Silent, bar
+from salpcc.pipeline.store import TOOL, ShardStore
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.files import atomic
+from salpcc.schemas.work import ScanError
+from salpcc.stages.evaluate import record, report
+from salpcc.stages.evaluate.schema import FAILURES, METRICS, TIMES
+from salpcc.stages.ingest.sources.simulated import DEFAULT_SCANS, Simulated
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What a user asks for: the configuration, and where and how it runs.
+
+    ``root`` None is only good for the simulated source, which then keeps its scans in the output.
+    """
+
+    config: RunConfig
+    sequences: list[str]
+    out: Path
+    root: Path | None = None
+    workers: int | None = None
+    scheduler: str | None = None
+    graph: GraphOptions = field(default_factory=GraphOptions)
+    quiet: bool = False
+    command: str = ""
+
+
+@dataclass
+class RunResult:
+    """What a run gives: the content of report.json (None before ``evaluate``), and the scans that failed."""
+
+    report: dict[str, Any] | None
+    errors: list[ScanError] = field(default_factory=list)
+
+    @property
+    def failed(self) -> bool:
+        """Tell whether anything was lost."""
+        return bool(self.errors)
+
+
+def run_sequences(request: RunRequest) -> RunResult:
+    """Run the pipeline over sequences.
+
+    Raises:
+        UsageError: the root or all sequences are missing, an option makes no sense.
+        LockedError: another run is using the output folder.
+        SalpccError: something that is nobody's scan failed, such as the disk.
+    """
+    config = resolve(request.config)
+    root = request.root if request.root is not None else request.out / "simulated"
+    started = datetime.now(UTC)
+    with ExitStack() as stack:
+        if config.source != "simulated":
+            plans, missing = plan_run(root, request.sequences, config)
+            stack.enter_context(locked(request.out))
+        else:
+            stack.enter_context(locked(request.out))
+            _simulate(root, request.sequences, config, request.quiet)
+            plans, missing = plan_run(root, request.sequences, config)
+        ShardStore(request.out).sweep()
+        with atomic(request.out / "config.json") as stream:
+            stream.write(json.dumps(config.model_dump(mode="json"), indent=1).encode() + b"\n")
+        client = stack.enter_context(connect(request.workers, request.scheduler))
+        watcher = stack.enter_context(_watch(request, plans, client.dashboard_link))
+        for error in missing:
+            watcher.say(error.reason)
+        outcomes = Graph(client, config, request.out, request.graph, watcher).run(plans)
+    errors = missing + [error for outcome in outcomes for error in outcome.errors]
+    if not request.graph.reaches("evaluate"):
+        return RunResult(None, errors)
+    _gather(request, config, root, outcomes, errors, started)
+    return RunResult(report.build(request.out), errors)
+
+
+def _simulate(root: Path, sequences: list[str], config: RunConfig, quiet: bool) -> None:
+    """Make the simulated sequences that are not there; ``--frames A:B`` makes B scans."""
+    for sequence in sequences:
+        if not (root / "sequences" / sequence / "velodyne").is_dir() and not quiet:
+            STDERR.print(f"simulating sequence {sequence} in {root} …", style="dim")
+        Simulated().make(root, sequence, config.frames[1] if config.frames else DEFAULT_SCANS)
+
+
+def _watch(request: RunRequest, plans: list[SequencePlan], dashboard: str) -> AbstractContextManager[Report]:
+    if request.quiet:
+        return nullcontext(Silent())
+    passes = 2 if request.graph.reaches("evaluate") else 1
+    return bar(passes * sum(plan.n_scans for plan in plans), dashboard)
+
+
+def _gather(
+    request: RunRequest,
+    config: RunConfig,
+    root: Path,
+    outcomes: list[Outcome],
+    errors: list[ScanError],
+    started: datetime,
+) -> None:
+    """Hand all that was measured to the report."""
+    store = ShardStore(request.out)
+    metrics, times, peak = [METRICS.empty_table()], [], 0.0
+    for outcome in outcomes:
+        for number in sorted(outcome.metrics):
+            table, facts = store.read(outcome.metrics[number])
+            metrics.append(table.replace_schema_metadata(None).cast(METRICS))
+            peak = max(peak, facts["peak_mb"])
+        if outcome.record is not None:
+            peak = max(peak, outcome.record["peak_mb"])
+            times += [(outcome.plan.sequence, *row) for row in outcome.record["times"]]
+    columns = list(zip(*times, strict=True)) if times else [()] * len(TIMES)
+    run = {
+        "command": request.command,
+        "config": config.model_dump(mode="json"),
+        "config_digest": config.digest,
+        "tool_version": TOOL,
+        "started": started.isoformat(timespec="seconds"),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "source": f"{config.source}: {root}",
+        "notes": _notes(config),
+        "worker_peak_mb": round(peak, 1),
+    }
+    lines = [(e.sequence, e.scan, e.stage, "", e.reason) for e in errors]
+    failures = list(zip(*lines, strict=True)) if lines else [()] * len(FAILURES)
+    record.record(
+        request.out,
+        run,
+        metrics=pa.concat_tables(metrics),
+        times=pa.table([pa.array(c, f.type) for c, f in zip(columns, TIMES, strict=True)], schema=TIMES),
+        failures=pa.table(
+            [pa.array(c, f.type) for c, f in zip(failures, FAILURES, strict=True)], schema=FAILURES
+        ),
+    )
+
+
+def _notes(config: RunConfig) -> list[str]:
+    """What a reader of the report must know."""
+    notes = []
+    if config.labels == "network":
+        notes.append(
+            "labels: the segmentation network is not part of this version; a geometric fallback splits ground "
+            "from other and drops nothing"
+        )
+    return notes

@@ -1,0 +1,136 @@
+"""What happens once per sequence: its archive, the record of how it was made, and its evaluation."""
+
+from __future__ import annotations
+
+import json
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.encode import payloads_of
+from salpcc.pipeline.plan import SequencePlan
+from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.tasks import VERSIONS, GopResult, lost
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import ArchiveError, SourceError
+from salpcc.schemas.files import atomic
+from salpcc.schemas.scan import Scan
+from salpcc.schemas.work import GopSource, digest_of
+from salpcc.stages.evaluate import stage as evaluate
+from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.residual_code.archive import ArchiveFacts, ScanPayload
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive_writer import write_archive
+
+RECORD_VERSION = 1
+
+
+def archive_path(out: Path, sequence: str) -> Path:
+    """Where the archive of a sequence lies."""
+    return out / "archives" / f"{sequence}.mcap"
+
+
+def record_path(out: Path, sequence: str) -> Path:
+    """Where the record of a sequence lies: digests, errors and times of the run that made its archive."""
+    return out / "records" / f"{sequence}.json"
+
+
+def inputs_digest(plan: SequencePlan, digests: list[str], config: RunConfig) -> str:
+    """Digest what an archive is made of; ``digests`` are those of :func:`source_digest`, by GOP."""
+    source = plan.gops[0].source
+    return digest_of(plan.sequence, source, config.digest, digests)
+
+
+def finished(plan: SequencePlan, digests: list[str], config: RunConfig, out: Path) -> dict[str, Any] | None:
+    """Return the record of a sequence whose archive is complete and made of these very inputs.
+
+    None where it has to be made: no archive, a damaged one, other inputs, or GOPs that failed.
+    """
+    try:
+        record: dict[str, Any] = json.loads(record_path(out, plan.sequence).read_text())
+        inputs = ArchiveReader(archive_path(out, plan.sequence)).facts.inputs
+    except (OSError, ValueError, ArchiveError):
+        return None
+    wanted = inputs_digest(plan, digests, config)
+    same = inputs == wanted == record.get("inputs") and record.get("version") == RECORD_VERSION
+    # What failed to be read is done again when its bytes change; what failed in a kernel is tried again.
+    return record if same and all(e["stage"] == "ingest" for e in record["errors"]) else None
+
+
+def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out: Path) -> dict[str, Any]:
+    """Write the record of a sequence, then its archive from the payload shards; return the record."""
+    store = ShardStore(out)
+    record: dict[str, Any] = {
+        "version": RECORD_VERSION,
+        "inputs": inputs_digest(plan, [result.origin for result in results], config),
+        "errors": [],
+        "times": [],
+        "peak_mb": 0.0,
+    }
+    for gop, result in zip(plan.gops, results, strict=True):
+        if result.failed:
+            record["errors"] += [vars(e) for e in result.errors]
+            continue
+        _, facts = store.read(dict(result.shards)["residual_code"])
+        record["errors"] += facts["errors"]
+        record["times"] += [[gop.number, *row] for row in facts["times"]]
+        record["peak_mb"] = max(record["peak_mb"], facts["peak_mb"])
+    with atomic(record_path(out, plan.sequence)) as stream:
+        stream.write(json.dumps(record, indent=1).encode())
+    facts_ = ArchiveFacts(
+        plan.sequence, plan.gops[0].source, record["inputs"], config.coding, load_sensor(config.sensor)
+    )
+    write_archive(archive_path(out, plan.sequence), facts_, (_payloads(store, result) for result in results))
+    return record
+
+
+def _payloads(store: ShardStore, result: GopResult) -> list[ScanPayload]:
+    if result.failed:
+        return []
+    table, _ = store.read(dict(result.shards)["residual_code"])
+    return payloads_of(table)
+
+
+def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo: bool) -> GopResult:
+    """Decode one GOP from the archive and measure it against its source; the result is a METRICS shard."""
+    store = ShardStore(out)
+    digest = digest_of(inputs, "evaluate", VERSIONS["evaluate"], gop.number)
+    ref = store.ref(gop.sequence, "evaluate", gop.number, digest)
+    result = GopResult(inputs, digest, (("evaluate", ref),))
+    if store.has(ref) and not redo:
+        return result
+    try:
+        reader = ArchiveReader(archive_path(out, gop.sequence))
+        entries = reader.gops[gop.number]
+        names = {entry.name for entry in entries}
+        refs = [scan for scan in gop.scans if scan.name in names]
+        warm = list(zip(range(2), decode_scans(reader, gop.number), strict=False))
+        del warm
+        table = evaluate.run(
+            decode_scans(reader, gop.number),
+            _originals(gop, refs),
+            pa.Table.from_pylist([vars(entry) for entry in entries]),
+            sequence=gop.sequence,
+            gop=gop.number,
+            max_error=config.max_error or 0.0,
+            sample=gop.number == 0,
+        )
+    except Exception as error:  # noqa: BLE001
+        return lost("evaluate", result, gop, error)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    store.write(ref, table, {"stage": "evaluate", "stage_version": VERSIONS["evaluate"], "peak_mb": peak})
+    return result
+
+
+def _originals(gop: GopSource, refs: list[Any]) -> Iterator[Scan | None]:
+    source = SOURCES[gop.source]
+    for ref in refs:
+        try:
+            yield source.read(ref, with_labels=ref.labels is not None)
+        except SourceError:
+            yield source.read(ref, with_labels=False)

@@ -1,0 +1,129 @@
+"""Verify an archive: checksums of everything, and every point against its source."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.plan import missing_root
+from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
+from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
+from salpcc.schemas.scan import Scan
+from salpcc.schemas.work import ScanRef
+from salpcc.stages.evaluate.match import kept_points
+from salpcc.stages.evaluate.metrics import point_errors, same_bits
+from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+
+
+@dataclass
+class Verdict:
+    """What was found. Figures about errors stay None where nothing was compared."""
+
+    archive: str
+    sequence: str
+    scans: int = 0
+    points: int = 0
+    against: str | None = None
+    asked_max_error_m: float | None = None
+    bit_exact_scans: int = 0
+    points_dropped: int = 0
+    max_error_m: float | None = None
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def good(self) -> bool:
+        """Tell whether nothing is wrong."""
+        return not self.problems
+
+    def as_dict(self) -> dict[str, Any]:
+        """The verdict as JSON, with ``good`` first."""
+        return {"good": self.good, **asdict(self)}
+
+
+def verify(path: Path, against: Path | None = None) -> Verdict:
+    """Decode all of an archive; with ``against`` (a data root), compare each point with its source.
+
+    What is damaged is listed under ``problems``; other GOPs are still verified.
+
+    Raises:
+        ArchiveError: the index itself is damaged, or this is no archive.
+        UsageError: ``against`` is not there, or the archive was not made from files.
+    """
+    reader = ArchiveReader(path)
+    facts = reader.facts
+    verdict = Verdict(str(path), facts.sequence, asked_max_error_m=facts.config.get("max_error"))
+    refs = _sources(reader, against) if against is not None else None
+    verdict.against = str(against) if against is not None else None
+    try:
+        reader.check()
+    except ArchiveError as error:
+        verdict.problems.append(str(error))
+    for gop, entries in enumerate(reader.gops):
+        try:
+            for entry, scan in zip(entries, decode_scans(reader, gop), strict=True):
+                verdict.scans += 1
+                verdict.points += len(scan)
+                if len(scan) != entry.kept:
+                    verdict.problems.append(
+                        f"scan {entry.name}: {len(scan)} points, the index says {entry.kept}"
+                    )
+                if refs is not None:
+                    _compare(scan, refs.get(scan.name), facts.source, facts.config, verdict)
+        except (ArchiveError, ValueError) as error:
+            verdict.problems.append(str(error))
+    return verdict
+
+
+def _sources(reader: ArchiveReader, root: Path) -> dict[str, ScanRef]:
+    facts = reader.facts
+    if facts.source not in SOURCES:
+        raise UsageError(f"{reader.path}: made from {facts.source}, there are no files to compare with")
+    if not root.is_dir():
+        raise UsageError(missing_root(root, facts.source))
+    try:
+        return {ref.name: ref for ref in SOURCES[facts.source].scans(root, facts.sequence)}
+    except SourceError as error:
+        raise UsageError(str(error)) from error
+
+
+def _compare(scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any], verdict: Verdict) -> None:
+    if ref is None:
+        verdict.problems.append(f"scan {scan.name}: not in {verdict.against}")
+        return
+    given = config.get("labels") == "given"
+    try:
+        source = SOURCES[kind].read(ref, with_labels=given)
+    except SourceError as error:
+        verdict.problems.append(str(error))
+        return
+    kept = _kept(source, scan, given and not config.get("keep_movable"), verdict.asked_max_error_m or 0.0)
+    if kept is None or kept.sum() != len(scan):
+        verdict.problems.append(f"scan {scan.name}: its {len(scan)} points are not those of {ref.path}")
+        return
+    verdict.points_dropped += len(source) - len(scan)
+    points, intensity = source.points[kept], source.intensity[kept]
+    if not same_bits(intensity, scan.intensity):
+        verdict.problems.append(f"scan {scan.name}: intensity differs from {ref.path}")
+    elif same_bits(points, scan.points):
+        verdict.bit_exact_scans += 1
+    elif not verdict.asked_max_error_m:
+        verdict.problems.append(f"scan {scan.name}: not bit-exact with {ref.path}")
+    error = point_errors(points, scan.points).maximum
+    verdict.max_error_m = max(verdict.max_error_m or 0.0, error)
+    if verdict.asked_max_error_m and error > verdict.asked_max_error_m:
+        verdict.problems.append(
+            f"scan {scan.name}: an error of {error} m, {verdict.asked_max_error_m} m was asked"
+        )
+
+
+def _kept(source: Scan, decoded: Scan, by_labels: bool, bound: float) -> NDArray[np.bool_] | None:
+    """Mark the source points that should have come back: by their labels, else by matching in order."""
+    if by_labels and source.classes is not None:
+        return np.asarray(GROUP_OF_CLASS[source.classes] != MOVABLE)
+    return kept_points(source, decoded, bound)

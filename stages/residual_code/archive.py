@@ -1,0 +1,56 @@
+"""The archive of one sequence: an MCAP file, one message per scan, one chunk per GOP (schemas/ARCHIVE.md).
+
+Here: what an archive holds. ``archive_writer`` and ``archive_reader`` are each other's inverse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from salpcc.stages.ingest.sensor_model import SensorModel
+
+ARCHIVE_VERSION = "1.0"
+MAGIC = b"\x89MCAP0\r\n"
+TOPIC = "/points/salpcc"
+LIBRARY = "salpcc-pipeline"  # without a version: the same scans give the same bytes from any release
+
+
+@dataclass(frozen=True)
+class ScanEntry:
+    """What the index of an archive says about one scan: counts of points, and bytes by stream."""
+
+    name: str
+    n_points: int
+    kept: int
+    dropped_movable: int
+    strays: int
+    geometry: int
+    intensity: int
+    classes: int
+    side: int
+
+
+@dataclass(frozen=True)
+class ScanPayload:
+    """One coded scan: its entry, time stamp (ns), frame id, and the payload of the entropy coder."""
+
+    entry: ScanEntry
+    time: int
+    frame_id: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class ArchiveFacts:
+    """What is the same for the whole archive.
+
+    ``config`` is :attr:`salpcc.schemas.config.RunConfig.coding`; ``source`` the kind of source and
+    ``inputs`` the digest of the source files and the configuration, by which a run knows it is done.
+    """
+
+    sequence: str
+    source: str
+    inputs: str
+    config: dict[str, Any]
+    sensor: SensorModel

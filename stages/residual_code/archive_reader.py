@@ -1,0 +1,215 @@
+"""Read an archive. It is not trusted: every length is checked against the file, every CRC is verified."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Chunk,
+    ChunkIndex,
+    Footer,
+    Message,
+    Metadata,
+    MetadataIndex,
+)
+
+from salpcc.schemas.errors import ArchiveError, SalpccError
+from salpcc.schemas.messages import CloudMessage
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.residual_code.archive import ARCHIVE_VERSION, MAGIC, ArchiveFacts, ScanEntry, ScanPayload
+
+_FOOTER_BYTES = 9 + 20
+# What a damaged record makes of itself when it is parsed.
+_PARSE_ERRORS = (EndOfFile, struct.error, ValueError, KeyError, TypeError, IndexError, OverflowError)
+
+
+class ArchiveReader:
+    """The index of an archive in memory; payloads are read chunk by chunk when asked for.
+
+    No file stays open, so a reader can be pickled and forked.
+
+    Attributes:
+        path: the file.
+        facts: sequence, source, inputs, configuration and sensor model.
+        gops: the entries of the scans, by GOP number; a GOP all of whose scans failed is empty.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open ``path`` and read its index.
+
+        Raises:
+            ArchiveError: not an archive of this tool, damaged, truncated, or of a newer major version.
+        """
+        self.path = Path(path)
+        try:
+            self.size = self.path.stat().st_size
+            self._read_index()
+        except OSError as error:
+            raise ArchiveError(f"{self.path}: {error.strerror or error}") from error
+        except _PARSE_ERRORS as error:
+            raise ArchiveError(f"{self.path}: the index is damaged ({error})") from error
+
+    def payloads(self, gop: int) -> list[ScanPayload]:
+        """Read the coded scans of one GOP.
+
+        Raises:
+            ArchiveError: the chunk is damaged, or does not hold the scans that the index lists.
+        """
+        entries = self.gops[gop]
+        if not entries:
+            return []
+        where = f"{self.path}: GOP {gop} (scans {entries[0].name} to {entries[-1].name})"
+        try:
+            chunk = Chunk.read(self._record(self._chunks[gop].chunk_start_offset, Opcode.CHUNK))
+            if chunk.compression or zlib.crc32(chunk.data) != chunk.uncompressed_crc:
+                raise ArchiveError(f"{where}: CRC mismatch, the file is damaged")
+            messages = list(_messages(chunk.data))
+            if len(messages) != len(entries):
+                raise ArchiveError(f"{where}: {len(messages)} messages for {len(entries)} scans")
+            clouds = [(m, CloudMessage.from_cdr(m.data, compressed=True)) for m in messages]
+        except _PARSE_ERRORS as error:
+            raise ArchiveError(f"{where}: damaged ({error})") from error
+        return [
+            ScanPayload(entry, message.log_time, cloud.frame_id, cloud.data)
+            for entry, (message, cloud) in zip(entries, clouds, strict=True)
+        ]
+
+    @property
+    def container_bytes(self) -> int:
+        """Bytes of the file that are not payload: index, sensor model, configuration, framing."""
+        coded = (e.geometry + e.intensity + e.classes + e.side for gop in self.gops for e in gop)
+        return self.size - sum(coded)
+
+    def check(self) -> None:
+        """Verify the CRC over everything before the summary (the summary's own was checked on opening).
+
+        Raises:
+            ArchiveError: a byte differs from what was written.
+        """
+        crc = 0
+        left = self._data_end
+        with open(self.path, "rb") as stream:
+            while left > 0:
+                block = stream.read(min(left, 1 << 20))
+                if not block:
+                    raise ArchiveError(f"{self.path}: ends early")
+                crc = zlib.crc32(block, crc)
+                left -= len(block)
+        if crc != self._record(self._data_end, Opcode.DATA_END).read4():
+            raise ArchiveError(f"{self.path}: CRC of the data section does not match, the file is damaged")
+
+    def _read_index(self) -> None:
+        head, tail = self._bytes(0, len(MAGIC)), self._bytes(self.size - len(MAGIC), len(MAGIC))
+        if head != MAGIC:
+            raise ArchiveError(f"{self.path}: not an MCAP file")
+        if tail != MAGIC:
+            raise ArchiveError(f"{self.path}: truncated, the end of the file is missing")
+        footer_at = self.size - len(MAGIC) - _FOOTER_BYTES
+        footer = Footer.read(self._record(footer_at, Opcode.FOOTER))
+        summary = self._bytes(footer.summary_start, footer_at - footer.summary_start)
+        covered = self._bytes(footer_at, _FOOTER_BYTES - 4)
+        if zlib.crc32(covered, zlib.crc32(summary)) != footer.summary_crc:
+            raise ArchiveError(f"{self.path}: CRC of the summary does not match, the file is damaged")
+        chunks: list[ChunkIndex] = []
+        attachments: dict[str, AttachmentIndex] = {}
+        metadata: dict[str, MetadataIndex] = {}
+        for opcode, content in _records(summary):
+            stream = ReadDataStream(BytesIO(content))
+            if opcode == Opcode.CHUNK_INDEX:
+                chunks.append(ChunkIndex.read(stream))
+            elif opcode == Opcode.ATTACHMENT_INDEX:
+                attachment = AttachmentIndex.read(stream)
+                attachments[attachment.name] = attachment
+            elif opcode == Opcode.METADATA_INDEX:
+                entry = MetadataIndex.read(stream)
+                metadata[entry.name] = entry
+        if "salpcc" not in metadata:
+            raise ArchiveError(f"{self.path}: an MCAP file, but not an archive of salpcc-pipeline")
+        self._data_end = footer.summary_start - 9 - 4
+        self.facts = self._facts(metadata["salpcc"], attachments)
+        index = json.loads(self._attachment(attachments["index.json"]))
+        self.gops = [tuple(_entry(row) for row in gop) for gop in index]
+        full = [number for number, gop in enumerate(self.gops) if gop]
+        if len(full) != len(chunks):
+            raise ArchiveError(f"{self.path}: {len(chunks)} chunks for {len(full)} GOPs")
+        self._chunks = dict(zip(full, sorted(chunks, key=lambda c: c.chunk_start_offset), strict=True))
+
+    def _facts(self, at: MetadataIndex, attachments: dict[str, AttachmentIndex]) -> ArchiveFacts:
+        about = Metadata.read(self._record(at.offset, Opcode.METADATA)).metadata
+        version = about["archive_version"]
+        if int(version.split(".")[0]) > int(ARCHIVE_VERSION.split(".")[0]):
+            raise ArchiveError(
+                f"{self.path}: archive version {version} is newer than this tool reads ({ARCHIVE_VERSION}); update it"
+            )
+        try:
+            sensor = SensorModel.from_json(self._attachment(attachments["sensor.json"]).decode())
+        except SalpccError as error:
+            raise ArchiveError(f"{self.path}: {error}") from error
+        config: dict[str, Any] = dict(json.loads(self._attachment(attachments["config.json"])))
+        return ArchiveFacts(_file_name(about["sequence"]), about["source"], about["inputs"], config, sensor)
+
+    def _attachment(self, at: AttachmentIndex) -> bytes:
+        raw = self._record_bytes(at.offset, Opcode.ATTACHMENT)
+        if zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
+            raise ArchiveError(f"{self.path}: CRC of {at.name} does not match, the file is damaged")
+        return Attachment.read(ReadDataStream(BytesIO(raw))).data
+
+    def _record(self, at: int, opcode: Opcode) -> ReadDataStream:
+        return ReadDataStream(BytesIO(self._record_bytes(at, opcode)))
+
+    def _record_bytes(self, at: int, opcode: Opcode) -> bytes:
+        found, length = struct.unpack("<BQ", self._bytes(at, 9))
+        if found != opcode:
+            raise ArchiveError(f"{self.path}: byte {at} should start a record {opcode}, holds {found}")
+        return self._bytes(at + 9, length)
+
+    def _bytes(self, at: int, length: int) -> bytes:
+        if at < 0 or length < 0 or at + length > self.size:
+            raise ArchiveError(
+                f"{self.path}: truncated or damaged, wants bytes {at} to {at + length} of {self.size}"
+            )
+        with open(self.path, "rb") as stream:
+            stream.seek(at)
+            return stream.read(length)
+
+
+def _entry(row: list[Any]) -> ScanEntry:
+    name, *counts = row
+    if not all(isinstance(n, int) and n >= 0 for n in counts):
+        raise ValueError("a row of the index is not a name and counts")
+    return ScanEntry(_file_name(name), *counts)
+
+
+def _file_name(name: object) -> str:
+    """Refuse a name that could lead out of the folder that a user decodes to."""
+    if not isinstance(name, str) or name in ("", ".", "..") or re.search(r"[/\\\x00]", name):
+        raise ValueError(f"{name!r} cannot name a file")
+    return name
+
+
+def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    at = 0
+    while at < len(data):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if at + 9 + length > len(data):
+            raise ValueError("a record ends outside")
+        yield opcode, data[at + 9 : at + 9 + length]
+        at += 9 + length
+
+
+def _messages(data: bytes) -> Iterator[Message]:
+    for opcode, content in _records(data):
+        if opcode == Opcode.MESSAGE:
+            yield Message.read(ReadDataStream(BytesIO(content)), len(content))

@@ -1,0 +1,182 @@
+"""Write an archive. Chunk boundaries are GOPs, and no library version and no clock enters the bytes.
+
+The records are the ``mcap`` package's; its writer is not used, because it cuts chunks by size and signs
+the file with its own version.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from salpcc.schemas.files import atomic
+from salpcc.schemas.labels import CLASSES, GROUPS
+from salpcc.schemas.messages import COMPRESSED, SCHEMA_TEXT, CloudMessage
+from salpcc.stages.residual_code.archive import (
+    ARCHIVE_VERSION,
+    LIBRARY,
+    MAGIC,
+    TOPIC,
+    ArchiveFacts,
+    ScanPayload,
+)
+
+
+class ArchiveWriter:
+    """Writes an archive GOP by GOP; inverse of :class:`~salpcc.stages.residual_code.archive_reader.ArchiveReader`."""
+
+    def __init__(self, stream: BinaryIO, facts: ArchiveFacts) -> None:
+        self._stream = stream
+        self._at = 0
+        self._crc = 0
+        self._index: list[list[tuple[Any, ...]]] = []
+        self._chunks: list[McapRecord] = []
+        self._attachments: list[McapRecord] = []
+        self._metadata: list[McapRecord] = []
+        self._times: list[int] = []
+        self._schema = Schema(1, SCHEMA_TEXT[COMPRESSED].encode(), "ros2msg", COMPRESSED)
+        # The ros2 profile asks for the QoS key.
+        self._channel = Channel(1, TOPIC, "cdr", {"offered_qos_profiles": ""}, 1)
+        self._put(MAGIC)
+        self._record(Header("ros2", LIBRARY))
+        # Everything a decoder needs stands before the first chunk, so a truncated file still decodes.
+        self._record(self._schema)
+        self._record(self._channel)
+        described = {
+            "archive_version": ARCHIVE_VERSION,
+            "sequence": facts.sequence,
+            "source": facts.source,
+            "inputs": facts.inputs,
+        }
+        start, length = self._record(Metadata("salpcc", described))
+        self._metadata.append(MetadataIndex(start, length, "salpcc"))
+        self._attach("sensor.json", json.loads(facts.sensor.to_json()))
+        self._attach("config.json", facts.config)
+        classes = [{"name": c.name, "group": GROUPS[c.group], "colour": list(c.colour)} for c in CLASSES]
+        self._attach("classes.json", classes)
+
+    def add_gop(self, payloads: list[ScanPayload]) -> None:
+        """Write one GOP as one chunk; an empty one (all its scans failed) only holds its number."""
+        self._index.append([astuple(payload.entry) for payload in payloads])
+        if not payloads:
+            return
+        builder = RecordBuilder()
+        offsets = []
+        for payload in payloads:
+            offsets.append((payload.time, builder.count))
+            message = CloudMessage(
+                payload.time,
+                payload.frame_id,
+                payload.entry.kept,
+                payload.data,
+                format=f"salpcc/{ARCHIVE_VERSION}",
+                is_dense=payload.entry.strays == 0,
+            )
+            name = payload.entry.name
+            number = int(name) % 2**32 if name.isascii() and name.isdigit() else len(self._times)
+            Message(1, payload.time, message.to_cdr(), payload.time, number).write(builder)
+            self._times.append(payload.time)
+        data = bytes(builder.end())
+        first, last = min(t for t, _ in offsets), max(t for t, _ in offsets)
+        start, length = self._record(Chunk("", data, last, first, zlib.crc32(data), len(data)))
+        index_at, index_length = self._record(MessageIndex(1, offsets))
+        self._chunks.append(
+            ChunkIndex(length, start, "", len(data), last, index_length, {1: index_at}, first, len(data))
+        )
+
+    def finish(self) -> None:
+        """Write the index and the summary."""
+        self._attach("index.json", self._index)
+        self._record(DataEnd(self._crc))
+        self._write_summary()
+        self._stream.write(MAGIC)
+
+    def _write_summary(self) -> None:
+        start = self._at
+        statistics = Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=1,
+            channel_message_counts={1: len(self._times)},
+            chunk_count=len(self._chunks),
+            message_count=len(self._times),
+            message_end_time=max(self._times, default=0),
+            message_start_time=min(self._times, default=0),
+            metadata_count=len(self._metadata),
+            schema_count=1,
+        )
+        groups: list[tuple[Opcode, list[McapRecord]]] = [
+            (Opcode.SCHEMA, [self._schema]),
+            (Opcode.CHANNEL, [self._channel]),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ]
+        builder = RecordBuilder()
+        offsets = []
+        for opcode, records in groups:
+            before = builder.count
+            for record in records:
+                record.write(builder)
+            if records:
+                offsets.append(SummaryOffset(opcode, start + before, builder.count - before))
+        offsets_at = start + builder.count
+        for offset in offsets:
+            offset.write(builder)
+        summary = bytes(builder.end())
+        # The CRC covers the summary and the footer up to the CRC itself.
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_at)
+        self._put(summary)
+        self._record(Footer(start, offsets_at, zlib.crc32(head, zlib.crc32(summary))))
+
+    def _attach(self, name: str, content: Any) -> None:
+        data = json.dumps(content, sort_keys=True, separators=(",", ":")).encode()
+        start, length = self._record(Attachment(0, 0, name, "application/json", data))
+        self._attachments.append(AttachmentIndex(start, length, 0, 0, len(data), name, "application/json"))
+
+    def _record(self, record: McapRecord) -> tuple[int, int]:
+        builder = RecordBuilder()
+        record.write(builder)
+        data = bytes(builder.end())
+        self._put(data)
+        return self._at - len(data), len(data)
+
+    def _put(self, data: bytes) -> None:
+        self._stream.write(data)
+        self._at += len(data)
+        self._crc = zlib.crc32(data, self._crc)
+
+
+def write_archive(path: Path, facts: ArchiveFacts, gops: Iterable[list[ScanPayload]]) -> None:
+    """Write a whole archive, atomically."""
+    with atomic(path) as stream:
+        writer = ArchiveWriter(stream, facts)
+        for payloads in gops:
+            writer.add_gop(payloads)
+        writer.finish()
