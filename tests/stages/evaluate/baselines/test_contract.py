@@ -1,0 +1,87 @@
+"""Every baseline keeps its own promise; one suite for all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from salpcc.schemas.scan import Scan
+from salpcc.stages.evaluate.baselines import BASELINES
+from salpcc.stages.evaluate.baselines.contract import FLOAT32_SLACK, Baseline, NotPossible
+from salpcc.stages.evaluate.baselines.measure import measure
+
+LOSSY_ERRORS = (0.001, 0.01, 0.05)
+
+
+def cases() -> Iterator[object]:
+    for name, baseline in BASELINES.items():
+        for error in (0.0,) if baseline.promise.bound == "exact" else LOSSY_ERRORS:
+            yield pytest.param(name, error, id=f"{name}-{error:g}")
+
+
+def available(name: str) -> Baseline:
+    for package in BASELINES[name].packages:
+        pytest.importorskip(package)
+    return BASELINES[name]
+
+
+@pytest.mark.parametrize(("name", "error"), list(cases()))
+def test_what_comes_back_is_what_was_promised(name: str, error: float, street: Callable[..., Scan]) -> None:
+    baseline, scan = available(name), street(points=4000)
+    promise = baseline.promise
+    row = measure(name, scan, "00", error)
+    assert row["status"] == "ok"
+    assert row["in_order"] == promise.order
+    assert row["bit_exact"] == (promise.bound == "exact")
+    assert ("bytes_total" in row) == promise.intensity
+    if promise.count:
+        assert row["points_decoded"] == len(scan)
+    if promise.bound == "axis":
+        assert row["max_axis_error_m"] <= error + FLOAT32_SLACK
+        assert row["max_axis_error_m"] > 0.7 * error or error <= 0.001, "the step is not twice the error"
+    if promise.bound == "exact":
+        assert row["max_error_m"] == 0.0
+
+
+@pytest.mark.parametrize("name", [n for n, b in BASELINES.items() if b.promise.intensity])
+@pytest.mark.parametrize("hundredths", [True, False])
+def test_intensity_comes_back_exactly(name: str, hundredths: bool, street: Callable[..., Scan]) -> None:
+    baseline, scan = available(name), street(points=500)
+    intensity = scan.intensity if hundredths else np.sqrt(scan.intensity)
+    whole = np.column_stack([scan.points, intensity]).astype(np.float32)
+    error = 0.0 if baseline.promise.bound == "exact" else 0.005
+    decoded = baseline.decode(baseline.encode(whole, error))
+    assert decoded.dtype == np.float32 and decoded.shape == whole.shape
+    if baseline.promise.order:
+        assert np.array_equal(decoded[:, 3], whole[:, 3])
+        return
+    # Without order: each value belongs to the point that is nearest.
+    distance = np.abs(whole[:, None, :3] - decoded[None, :, :3]).max(axis=2)
+    mine = (distance <= error + FLOAT32_SLACK) & (whole[:, None, 3] == decoded[None, :, 3])
+    assert mine.any(axis=1).all() and mine.any(axis=0).all()
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_what_a_codec_cannot_do_it_refuses(name: str) -> None:
+    baseline = available(name)
+    points = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
+    with pytest.raises(NotPossible):
+        baseline.encode(points, 0.01 if baseline.promise.bound == "exact" else 0.0)
+
+
+@pytest.mark.parametrize("name", [n for n, b in BASELINES.items() if b.promise.bound != "exact"])
+def test_points_that_are_not_finite_are_refused(name: str) -> None:
+    baseline = available(name)
+    with pytest.raises(NotPossible):
+        baseline.encode(np.array([[1, 2, 3], [np.nan, 5, 6]], np.float32), 0.01)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_encoding_is_deterministic_and_leaves_its_input_alone(name: str, street: Callable[..., Scan]) -> None:
+    baseline, points = available(name), street(points=300).points
+    before = points.copy()
+    error = 0.0 if baseline.promise.bound == "exact" else 0.01
+    assert baseline.encode(points, error) == baseline.encode(points, error)
+    assert np.array_equal(points, before)

@@ -1,0 +1,178 @@
+"""The report: the names of the contract, sums that add up, a page that stands alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from salpcc.schemas.errors import ShardError
+from salpcc.schemas.scan import Scan
+from salpcc.stages.evaluate import report, stage
+from salpcc.stages.evaluate.baselines.measure import measure
+from salpcc.stages.evaluate.record import record, recorded
+from salpcc.stages.evaluate.schema import BASELINES, FAILURES, TIMES
+
+FRAMING = 5000
+
+
+@pytest.fixture
+def out(
+    tmp_path: Path,
+    street: Callable[..., Scan],
+    without_movable: Callable[[Scan], Scan],
+    payload_rows: Callable[[list[Scan], list[Scan]], pa.Table],
+) -> Path:
+    """A run of two sequences: 00 bit-exact but for its dropped car, 04 one point off by 30 mm."""
+    tables = []
+    for sequence in ("00", "04"):
+        sources = [street("000000"), street("000001", seed=1)]
+        decoded = [without_movable(scan) for scan in sources]
+        if sequence == "04":
+            points = decoded[0].points.copy()
+            points[0, 0] += np.float32(0.03)
+            decoded[0] = replace(decoded[0], points=points)
+        payloads = payload_rows(sources, decoded)
+        tables.append(
+            stage.run(decoded, sources, payloads, sequence=sequence, gop=0, max_error=0.05, sample=True)
+        )
+        archive = tmp_path / "archives" / f"{sequence}.mcap"
+        archive.parent.mkdir(exist_ok=True)
+        archive.write_bytes(bytes(2 * 1670 + FRAMING))
+    times = [
+        {"sequence": s, "gop": 0, "stage": name, "scans": 2, "cpu_ms": 2.0 * ms, "wall_ms": 2.0 * ms}
+        for s in ("00", "04")
+        for name, ms in (("ingest", 100), ("residual_code", 50), ("evaluate", 400))
+    ]
+    failures = [
+        {"sequence": "04", "name": "000002", "stage": "ingest", "file": "a<b>.bin", "message": "cut | off"}
+    ]
+    coded = [measure(name, street(), "00", error) for name, error in (("xz", 0.0), ("octree", 0.01))]
+    record(
+        tmp_path,
+        {"command": ["salpcc-pipeline", "run"], "config": {"max_error": 0.05}, "notes": ["a note"]},
+        metrics=pa.concat_tables(tables),
+        times=pa.Table.from_pylist(times, schema=TIMES),
+        failures=pa.Table.from_pylist(failures, schema=FAILURES),
+        baselines=pa.Table.from_pylist(coded, schema=BASELINES),
+    )
+    return tmp_path
+
+
+def test_every_name_of_the_contract_is_there(out: Path) -> None:
+    report.build(out)
+    figures = json.loads((out / "report" / "report.json").read_text())["sequences"]["00"]
+    plain = (
+        "frames points_in points_kept points_dropped_movable points_decoded points_on_fallback "
+        "compression_rate_percent geometry_rate_percent max_error_m rms_error_m d_d bit_exact_scans "
+        "ms_per_scan encode_ms_per_scan decode_ms_per_scan"
+    )
+    assert all(figures[name] is not None for name in plain.split())
+    assert figures["bytes"].keys() == {"geometry", "intensity", "classes", "side", "total"}
+    assert figures["bpp"].keys() == {"geometry", "intensity", "total"}
+    assert figures["iou"]["groups"] == {"movable": 1.0, "ground": 1.0, "other": 1.0}
+    assert "miou" in figures["iou"] and "classes" in figures["iou"]
+
+
+def test_the_figures_add_up(out: Path) -> None:
+    built = report.build(out)
+    exact, moved = built["sequences"]["00"], built["sequences"]["04"]
+    assert exact["frames"] == 2 and exact["points_in"] == 6000
+    assert exact["points_dropped_movable"] + exact["points_decoded"] == exact["points_in"]
+    assert exact["points_lost"] == 0
+    assert exact["bytes"] == {
+        "geometry": 2000,
+        "intensity": 1200,
+        "classes": 100,
+        "side": 40 + FRAMING,
+        "total": 3340 + FRAMING,
+    }
+    assert exact["bpp"]["geometry"] == pytest.approx(8 * 2000 / 6000)
+    assert exact["compression_rate_percent"] == pytest.approx(100 * (3340 + FRAMING) / (16 * 6000))
+    assert exact["bit_exact_scans"] == 2 and exact["max_error_m"] == 0.0
+    assert moved["bit_exact_scans"] == 1
+    assert moved["max_error_m"] == pytest.approx(0.03, abs=1e-5)
+    assert moved["rms_error_m"] == pytest.approx(0.03 / np.sqrt(moved["points_decoded"]), rel=1e-3)
+    assert exact["ms_per_scan"] == {"ingest": 100.0, "residual_code": 50.0, "evaluate": 400.0}
+    assert exact["encode_ms_per_scan"] == 150.0
+    assert built["total"]["points_in"] == 12000
+    assert built["total"]["bytes"]["total"] == 2 * (3340 + FRAMING)
+
+
+def test_baselines_stand_under_their_names_and_errors(out: Path) -> None:
+    baselines = report.build(out)["baselines"]
+    assert baselines["xz"]["0"]["bit_exact_scans"] == 1
+    assert baselines["xz"]["0"]["in_order"]
+    octree = baselines["octree"]["0.01"]
+    assert octree["points_lost"] > 0 and octree["bpp"]["total"] is None
+    assert octree["max_axis_error_m"] <= 0.01 + 1e-5
+
+
+def test_the_page_stands_alone_and_escapes(out: Path) -> None:
+    report.build(out)
+    page = (out / "report" / "index.html").read_text()
+    assert not re.findall(r"(?:src|href)=[\"'](?!data:|#)", page)
+    assert not re.findall(r"url\((?!#|data:)", page) and "<script" not in page
+    assert "a&lt;b&gt;.bin" in page and "<b>.bin" not in page
+    assert page.count("<svg") == 4 and page.count("data:image/png") == 8
+    assert "30.00 mm" in page
+
+
+def test_tables_are_written_as_markdown_and_parquet(out: Path) -> None:
+    report.build(out)
+    text = (out / "report" / "tables.md").read_text()
+    assert "| 00 | 2 | 6,000 |" in text
+    assert "cut \\| off" in text
+    rows = pq.read_table(out / "report" / "tables" / "sequences.parquet").to_pylist()
+    assert [row["sequence"] for row in rows] == ["00", "04", "all"]
+    assert rows[1]["max_error_mm"] == pytest.approx(30, abs=0.01)
+
+
+def test_a_run_in_which_everything_failed_still_reports(tmp_path: Path) -> None:
+    failure = {"sequence": "00", "name": "000000", "stage": "ingest", "file": "x.bin", "message": "truncated"}
+    record(tmp_path, {}, failures=pa.Table.from_pylist([failure], schema=FAILURES))
+    built = report.build(tmp_path)
+    assert built["sequences"] == {} and built["total"]["frames"] == 0
+    assert built["failures"] == [failure]
+    assert "No scan was measured" in (tmp_path / "report" / "index.html").read_text()
+
+
+def test_report_json_is_strict_json_when_nothing_matches(out: Path) -> None:
+    metrics = recorded(out, "metrics").to_pylist()
+    metrics[0] |= {"max_error_m": float("inf"), "bit_exact": False}
+    record(out, metrics=pa.Table.from_pylist(metrics, schema=recorded(out, "metrics").schema))
+    built = report.build(out)
+    assert built["sequences"]["00"]["max_error_m"] is None
+    assert built["sequences"]["00"]["scans_without_correspondence"] == 1
+    assert "Infinity" not in (out / "report" / "report.json").read_text()
+
+
+def test_measurements_of_a_newer_version_are_refused(out: Path) -> None:
+    path = out / "report" / "metrics.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.replace_schema_metadata({b"salpcc.evaluate.version": b"999"}), path)
+    with pytest.raises(ShardError, match="version 999"):
+        report.build(out)
+
+
+def test_damaged_measurements_are_one_clear_error(out: Path) -> None:
+    (out / "report" / "times.parquet").write_bytes(b"not parquet")
+    with pytest.raises(ShardError, match=r"times\.parquet: not readable"):
+        report.build(out)
+
+
+def test_report_is_the_same_when_rebuilt(out: Path) -> None:
+    def strip(built: dict[str, Any]) -> str:
+        return json.dumps(built, sort_keys=True)
+
+    first, page = strip(report.build(out)), (out / "report" / "index.html").read_bytes()
+    assert strip(report.build(out)) == first
+    assert (out / "report" / "index.html").read_bytes() == page

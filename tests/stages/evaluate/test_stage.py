@@ -1,0 +1,128 @@
+"""The stage: one row per scan, measured on what came back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.scan import Scan
+from salpcc.stages.evaluate import stage
+from salpcc.stages.evaluate.schema import METRICS
+
+Street = Callable[..., Scan]
+Rows = Callable[[list[Scan], list[Scan]], pa.Table]
+
+
+def measure(decoded: Any, sources: list[Any], payloads: pa.Table, **more: Any) -> list[dict[str, Any]]:
+    table = stage.run(decoded, sources, payloads, sequence="00", gop=3, **more)
+    assert table.schema.equals(METRICS)
+    return list(table.to_pylist())
+
+
+def test_a_bit_exact_scan_has_no_error(street: Street, payload_rows: Rows) -> None:
+    scan = street()
+    (row,) = measure([scan], [scan], payload_rows([scan], [scan]))
+    assert row["bit_exact"] and row["intensity_exact"]
+    assert row["max_error_m"] == row["squared_error_m2"] == row["d_d_m2"] == 0.0
+    assert (row["sequence"], row["gop"], row["points_compared"]) == ("00", 3, len(scan))
+    assert (row["bytes_geometry"], row["bytes_side"], row["points_on_fallback"]) == (1000, 20, 1)
+
+
+def test_one_moved_point_is_found(street: Street, payload_rows: Rows) -> None:
+    scan = street()
+    points = scan.points.copy()
+    points[17, 1] += np.float32(0.5)
+    (row,) = measure([replace(scan, points=points)], [scan], payload_rows([scan], [scan]))
+    assert row["max_error_m"] == pytest.approx(0.5, abs=1e-6)
+    assert not row["bit_exact"] and row["intensity_exact"]
+
+
+def test_one_changed_intensity_is_found(street: Street, payload_rows: Rows) -> None:
+    scan = street()
+    intensity = scan.intensity.copy()
+    intensity[5] += np.float32(0.01)
+    (row,) = measure([replace(scan, intensity=intensity)], [scan], payload_rows([scan], [scan]))
+    assert row["max_error_m"] == 0.0
+    assert not row["bit_exact"] and not row["intensity_exact"]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_dropped_points_are_no_error(
+    street: Street, payload_rows: Rows, without_movable: Callable[[Scan], Scan], known: bool
+) -> None:
+    scan = street()
+    task = without_movable(scan)
+    assert len(task) < len(scan)
+    mask = [np.isin(scan.classes, task.classes)] if known else None
+    (row,) = measure([task], [scan], payload_rows([scan], [task]), kept=mask)
+    assert row["bit_exact"]
+    assert row["points_compared"] == len(task)
+    assert row["points_dropped_movable"] == len(scan) - len(task)
+    assert np.count_nonzero(row["group_confusion"]) == 3
+    assert np.trace(np.reshape(row["group_confusion"], (3, 3))) == len(scan)
+    assert row["class_confusion"] is None
+
+
+def test_a_scan_without_source_still_counts_its_bytes(street: Street, payload_rows: Rows) -> None:
+    scan = street()
+    (row,) = measure([scan], [None], payload_rows([scan], [scan]))
+    assert row["bytes_geometry"] == 1000
+    assert row["max_error_m"] is None and row["bit_exact"] is None
+
+
+def test_a_scan_in_another_order_proves_nothing(street: Street, payload_rows: Rows) -> None:
+    scan = street()
+    turned = Scan(scan.name, scan.points[:0:-1].copy(), scan.intensity[:0:-1].copy())
+    far = replace(turned, points=turned.points + np.float32(5000))
+    (row,) = measure([far], [scan], payload_rows([scan], [far]))
+    assert row["max_error_m"] == np.inf
+    assert row["points_compared"] == 0 and not row["bit_exact"]
+
+
+def test_an_archive_that_ends_early_or_skips_is_refused(street: Street, payload_rows: Rows) -> None:
+    first, second = street("000000"), street("000001")
+    payloads = payload_rows([first, second], [first, second])
+    with pytest.raises(ArchiveError, match="expected scan 000001, decoded no more scans"):
+        measure([first], [first, second], payloads)
+    with pytest.raises(ArchiveError, match="expected scan 000000, decoded scan 000001"):
+        measure([second, first], [first, second], payloads)
+
+
+def test_decode_time_is_the_time_of_the_pull(street: Street, payload_rows: Rows) -> None:
+    scans = [street("000000"), street("000001")]
+
+    def decoder() -> Iterator[Scan]:
+        yield scans[0]
+        end = time.process_time() + 0.05
+        while time.process_time() < end:
+            pass
+        yield scans[1]
+
+    rows = measure(decoder(), scans, payload_rows(scans, scans))
+    assert rows[0]["decode_ms"] < 45 < rows[1]["decode_ms"]
+
+
+def test_classes_are_measured_where_the_segmenter_has_them(street: Street, payload_rows: Rows) -> None:
+    scan = street()
+    assert scan.classes is not None
+    guess = scan.classes.copy()
+    guess[:10] = 15  # vegetation
+    (row,) = measure([scan], [scan], payload_rows([scan], [scan]), predicted=[guess])
+    assert sum(row["class_confusion"]) == len(scan)
+    assert np.trace(np.reshape(row["class_confusion"], (21, 21))) < len(scan)
+
+
+def test_only_the_first_scan_is_sampled_and_only_when_asked(street: Street, payload_rows: Rows) -> None:
+    scans = [street("000000"), street("000001")]
+    payloads = payload_rows(scans, scans)
+    first, second = measure(scans, scans, payloads, sample=True)
+    assert np.array_equal(np.reshape(first["sample_points"], (-1, 3)), scans[0].points)
+    assert second["sample_points"] is None
+    assert measure(scans, scans, payloads)[0]["sample_points"] is None
