@@ -53,6 +53,10 @@ class Archive:
     forked: a copy starts with nothing decoded and shares no open file.
     """
 
+    _gop: int  # the GOP in hand, -1 for none
+    _decoded: list[Scan]  # its scans so far
+    _decoder: Iterator[Scan]  # gives the rest
+
     def __init__(self, path: str | Path) -> None:
         """Open an archive.
 
@@ -129,6 +133,4 @@ class Archive:
         self._forget()
 
     def _forget(self) -> None:
-        self._gop = -1
-        self._decoded: list[Scan] = []
-        self._decoder: Iterator[Scan] = iter(())
+        self._gop, self._decoded, self._decoder = -1, [], iter(())

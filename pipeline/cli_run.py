@@ -16,7 +16,7 @@ from rich.table import Table
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
-from salpcc.schemas.config import Effort, Labels, Profile, RunConfig
+from salpcc.schemas.config import UNBOUNDED, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.manifest import Manifest, expand_sequences, load_manifest
 from salpcc.schemas.work import STAGES
@@ -121,7 +121,7 @@ def parse_frames(text: str | None) -> tuple[int, int] | None:
     match = re.fullmatch(r"(\d*):(\d*)", text)
     if match is None:
         raise UsageError(f"--frames {text}: expected A:B, frame numbers A to B - 1, such as 0:100")
-    return int(match[1] or 0), int(match[2] or 2**31)
+    return int(match[1] or 0), int(match[2] or UNBOUNDED)
 
 
 def _config(**values: object) -> RunConfig:

@@ -26,7 +26,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError
 from salpcc.schemas.work import STAGES, GopSource, ScanError, ShardRef
 
-Job = tuple[Callable[[], Future], Callable[[Future], None]]
+Job = tuple[Callable[[], Future[Any]], Callable[[Future[Any]], None]]
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Graph:
         outcomes = [Outcome(plan) for plan in plans]
         for outcome in outcomes:
             self._begin(outcome)
-        running: dict[Future, Callable[[Future], None]] = {}
+        running: dict[Future[Any], Callable[[Future[Any]], None]] = {}
         done = as_completed()
         while self._jobs or running:
             while self._jobs and len(running) < self._limit:
@@ -107,7 +107,7 @@ class Graph:
         for gop in plan.gops:
             self._jobs.append((partial(self._chain, gop), partial(self._coded, outcome, gop)))
 
-    def _chain(self, gop: GopSource) -> Future:
+    def _chain(self, gop: GopSource) -> Future[Any]:
         name = f"{gop.sequence}-{gop.number:05d}"
         future = self._submit("digest", name, source_digest, gop, self._config)
         for stage in STAGES[:-1]:
@@ -117,7 +117,7 @@ class Graph:
             future = self._submit(stage, name, run_stage, stage, future, gop, self._config, self._out, redo)
         return future
 
-    def _coded(self, outcome: Outcome, gop: GopSource, future: Future) -> None:
+    def _coded(self, outcome: Outcome, gop: GopSource, future: Future[Any]) -> None:
         result = self._result(future, gop, "residual_code")
         outcome.coded[gop.number] = result
         for error in result.errors:
@@ -135,7 +135,7 @@ class Graph:
         )
         self._jobs.appendleft((start, partial(self._archived, outcome)))
 
-    def _archived(self, outcome: Outcome, future: Future) -> None:
+    def _archived(self, outcome: Outcome, future: Future[Any]) -> None:
         outcome.record = self._value(future)
         if not self._options.keep_shards:
             ShardStore(self._out).drop_sequence(outcome.plan.sequence, STAGES[:-1])
@@ -157,17 +157,17 @@ class Graph:
             jobs.append((start, partial(self._measured, outcome, gop)))
         return jobs
 
-    def _measured(self, outcome: Outcome, gop: GopSource, future: Future) -> None:
+    def _measured(self, outcome: Outcome, gop: GopSource, future: Future[Any]) -> None:
         result = self._result(future, gop, "evaluate")
         outcome.errors += result.errors
         if not result.failed:
             outcome.metrics[gop.number] = dict(result.shards)["evaluate"]
         self._report.advance(len(gop.scans), f"{gop.sequence}: measured GOP {gop.number}")
 
-    def _submit(self, what: str, name: str, function: Callable[..., Any], *arguments: Any) -> Future:
+    def _submit(self, what: str, name: str, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         return self._client.submit(function, *arguments, key=f"{what}-{name}-{id(self):x}", pure=False)
 
-    def _result(self, future: Future, gop: GopSource, stage: str) -> GopResult:
+    def _result(self, future: Future[Any], gop: GopSource, stage: str) -> GopResult:
         """The result of a GOP's task; workers that keep dying of it cost this GOP, not the run."""
         try:
             result: GopResult = self._value(future)
@@ -178,7 +178,7 @@ class Graph:
             return GopResult("", "", errors=errors, failed=True)
 
     @staticmethod
-    def _value(future: Future) -> Any:
+    def _value(future: Future[Any]) -> Any:
         try:
             return future.result()
         except (KilledWorker, SalpccError):

@@ -18,12 +18,12 @@ from salpcc.pipeline.lock import locked
 from salpcc.pipeline.plan import SequencePlan, plan_run
 from salpcc.pipeline.progress import STDERR, Report, Silent, bar
 from salpcc.pipeline.store import TOOL, ShardStore
-from salpcc.schemas.config import RunConfig
+from salpcc.schemas.config import UNBOUNDED, RunConfig
 from salpcc.schemas.files import atomic
 from salpcc.schemas.work import ScanError
 from salpcc.stages.evaluate import record, report
 from salpcc.stages.evaluate.schema import FAILURES, METRICS, TIMES
-from salpcc.stages.ingest.sources.simulated import DEFAULT_SCANS, Simulated
+from salpcc.stages.ingest.sources.simulated import Simulated
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,11 @@ def run_sequences(request: RunRequest) -> RunResult:
 
 def _simulate(root: Path, sequences: list[str], config: RunConfig, quiet: bool) -> None:
     """Make the simulated sequences that are not there; ``--frames A:B`` makes B scans."""
+    scans = config.frames[1] if config.frames and config.frames[1] < UNBOUNDED else None
     for sequence in sequences:
         if not (root / "sequences" / sequence / "velodyne").is_dir() and not quiet:
-            STDERR.print(f"simulating sequence {sequence} in {root} …", style="dim")
-        Simulated().make(root, sequence, config.frames[1] if config.frames else DEFAULT_SCANS)
+            STDERR.print(f"simulating sequence {sequence} in {root} …", style="dim", soft_wrap=True)
+        Simulated().make(root, sequence, scans, config.sensor)
 
 
 def _watch(request: RunRequest, plans: list[SequencePlan], dashboard: str) -> AbstractContextManager[Report]:

@@ -102,7 +102,7 @@ def run_stage(
         shards = dict(before.shards)
         read = [store.read(shards[name]) for name in INPUTS[stage]]
         inputs: list[Any] = [table for table, _ in read] or [gop]
-        facts = read[-1][1] if read else {"errors": [], "times": [], "peak_mb": 0.0}
+        facts: dict[str, Any] = read[-1][1] if read else {"errors": [], "times": [], "peak_mb": 0.0}
         try:
             table, times = _timed(stage, inputs, config)
         except Exception as error:  # noqa: BLE001

@@ -114,11 +114,11 @@ def _compare(scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any],
         verdict.bit_exact_scans += 1
     elif not verdict.asked_max_error_m:
         verdict.problems.append(f"scan {scan.name}: not bit-exact with {ref.path}")
-    error = point_errors(points, scan.points).maximum
-    verdict.max_error_m = max(verdict.max_error_m or 0.0, error)
-    if verdict.asked_max_error_m and error > verdict.asked_max_error_m:
+    worst = point_errors(points, scan.points).maximum
+    verdict.max_error_m = max(verdict.max_error_m or 0.0, worst)
+    if verdict.asked_max_error_m and worst > verdict.asked_max_error_m:
         verdict.problems.append(
-            f"scan {scan.name}: an error of {error} m, {verdict.asked_max_error_m} m was asked"
+            f"scan {scan.name}: an error of {worst} m, {verdict.asked_max_error_m} m was asked"
         )
 
 

@@ -11,6 +11,7 @@ from salpcc.schemas.work import digest_of
 Profile = Literal["sensor", "paper"]
 Labels = Literal["network", "given"]
 Effort = Literal["fast", "default", "max"]
+UNBOUNDED = 2**31  # as the end of `frames`
 
 
 class RunConfig(BaseModel):

@@ -164,7 +164,7 @@ class ArchiveReader:
         raw = self._record_bytes(at.offset, Opcode.ATTACHMENT)
         if zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
             raise ArchiveError(f"{self.path}: CRC of {at.name} does not match, the file is damaged")
-        return Attachment.read(ReadDataStream(BytesIO(raw))).data
+        return bytes(Attachment.read(ReadDataStream(BytesIO(raw))).data)
 
     def _record(self, at: int, opcode: Opcode) -> ReadDataStream:
         return ReadDataStream(BytesIO(self._record_bytes(at, opcode)))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 from salpcc.schemas.work import ScanRef
+from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 
 DEFAULT_SCANS = 16
@@ -15,17 +17,31 @@ class Simulated(SemanticKitti):
     """A procedural street seen by a 64-laser sensor; needs no data of anybody."""
 
     name = "simulated"
-    hint = "salpcc-pipeline simulate --out ROOT makes them"
+    hint = "`salpcc-pipeline simulate --out ROOT` makes them"
 
-    def make(self, root: Path, sequence: str, frames: int = DEFAULT_SCANS) -> list[ScanRef]:
-        """Simulate ``sequence`` where ``root`` does not hold it, and list its scans.
+    def make(
+        self, root: Path, sequence: str, scans: int | None = None, sensor: str = "hdl64e"
+    ) -> list[ScanRef]:
+        """Simulate ``sequence`` where ``root`` holds fewer than ``scans`` of it, and list its scans.
 
-        The street and the noise are seeded by the name, so a sequence is the same wherever it is made.
+        None takes whatever is there, else 16. Street and noise are seeded by the name, so a sequence is
+        the same wherever it is made. It appears under its name only when complete.
         """
-        from salpcc.stages.ingest.simulator import write_sequence
+        from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 
-        if not (root / "sequences" / sequence / "velodyne").is_dir():
-            write_sequence(root, sequence, frames, seed_of(sequence))
+        folder = root / "sequences" / sequence
+        if (folder / "velodyne").is_dir():
+            there = self.scans(root, sequence)
+            if len(there) >= (scans or 1):
+                return there
+        part = root / f".simulating-{sequence}"
+        shutil.rmtree(part, ignore_errors=True)
+        config = SimulationConfig(sequence=sequence, scans=scans or DEFAULT_SCANS, seed=seed_of(sequence))
+        simulate_sequence(config, part, load_sensor(sensor))
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        (part / "sequences" / sequence).rename(folder)
+        shutil.rmtree(part)
         return self.scans(root, sequence)
 
 
