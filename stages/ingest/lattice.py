@@ -85,7 +85,13 @@ def unproject(
 
 @njit(cache=True)
 def project_point(
-    x: float, y: float, z: float, p: NDArray[np.float64], c: NDArray[np.float64], count_size: float, ticks: int
+    x: float,
+    y: float,
+    z: float,
+    p: NDArray[np.float64],
+    c: NDArray[np.float64],
+    count_size: float,
+    ticks: int,
 ) -> tuple[int, int]:
     """Nearest (tick, count) of laser ``p`` (constants ``c``) for a raw point in metres."""
     rho2 = x * x + y * y

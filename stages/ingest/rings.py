@@ -7,6 +7,8 @@ elevation cone tells.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -55,10 +57,12 @@ def _homogeneous_runs(label: NDArray[np.int64], first: int) -> list[tuple[int, i
         return [(first, first + len(label))]
     change = np.flatnonzero(np.diff(label) != 0) + 1
     bounds = [0, *change.tolist(), len(label)]
-    return [(first + a, first + b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [(first + a, first + b) for a, b in pairwise(bounds)]
 
 
-def assign_lasers(sensor: SensorModel, raw: NDArray[np.int64], usable: NDArray[np.bool_]) -> NDArray[np.int64]:
+def assign_lasers(
+    sensor: SensorModel, raw: NDArray[np.int64], usable: NDArray[np.bool_]
+) -> NDArray[np.int64]:
     """Return the laser of each raw point ``(N, 3)`` mm as int64 ``(N,)``, -1 where it is none.
 
     Lasers never fall along the file, so that (laser, azimuth) is the file's order; whatever breaks
@@ -74,7 +78,7 @@ def assign_lasers(sensor: SensorModel, raw: NDArray[np.int64], usable: NDArray[n
     nearest = _nearest_laser(points, np.tan(sensor.theta), sensor.z0, _NEAR)
     bounds = [0, *cuts.tolist(), len(points)]
     last = -1
-    for begin, end in zip(bounds[:-1], bounds[1:], strict=True):
+    for begin, end in pairwise(bounds):
         for a, b in _homogeneous_runs(nearest[begin:end], begin):
             votes = nearest[a:b][nearest[a:b] >= 0]
             if len(votes) == 0:

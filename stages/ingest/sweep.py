@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.lattice import NO_CORRECTION, correction_codes, corrections, project, unproject
+from salpcc.stages.ingest.lattice import correction_codes, project, unproject
 from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
+from salpcc.stages.ingest.publish import compensated_points, ordered_bits, published_points, raw_points
 from salpcc.stages.ingest.rings import assign_lasers
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist
@@ -23,25 +24,6 @@ from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist
 _MIN_SHARE = 0.2
 _MIN_POINTS_FOR_MOTION = 200
 _MAX_COUNT = (1 << 20) - 1
-
-
-def ordered_bits(values: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Map float32 to integers in the order of the values, neighbours one apart (-0.0 is -1)."""
-    bits = values.view(np.int32).astype(np.int64)
-    return np.where(bits < 0, bits ^ 0x7FFFFFFF, bits)
-
-
-def from_ordered_bits(bits: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Inverse of :func:`ordered_bits`."""
-    return np.where(bits < 0, bits ^ 0x7FFFFFFF, bits).astype(np.int32).view(np.float32)
-
-
-def _millimetres_to_float(
-    raw: NDArray[np.int64], motion: NDArray[np.float64] | None
-) -> NDArray[np.float32]:
-    """Raw points in mm to the float32 points that were published."""
-    points = (raw / 1000.0).astype(np.float32)
-    return points if motion is None else twist(points.astype(np.float64), motion)
 
 
 def _fits_lattice(
@@ -128,7 +110,7 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
 
     model = unproject(sensor, laser[on].astype(np.uint8), tick[on], count[on])
     millimetre = correction_codes(raw[on] - np.rint(model * 1000.0).astype(np.int64))
-    published = _millimetres_to_float(raw[on], motion)
+    published = compensated_points(raw[on], motion).astype(np.float32)
     ulp = correction_codes(ordered_bits(scan.points[on]) - ordered_bits(published))
     fits = (millimetre >= 0) & (ulp >= 0)
     fits[fits] = _fits_lattice(laser[on][fits], tick[on][fits], model[fits])
@@ -140,24 +122,20 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre, ulp)
 
 
-def _return_points(
-    sweep: Sweep, sensor: SensorModel
-) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def _return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return the points ``(M, 3)`` of the returns in firing order, and their order in the file."""
     if sweep.max_error > 0:
-        counts = sweep.count.astype(np.float64) * sweep.step + (sweep.step - 1) / 2
-        model = unproject(sensor, sweep.laser, sweep.tick, counts)
-        order = file_order(sweep.laser, azimuth_keys(model))
-        return model.astype(np.float32) if sweep.motion is None else twist(model, sweep.motion), order
+        model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
+        points = model if sweep.motion is None else twist(model, sweep.motion)
+        return points.astype(np.float32), file_order(sweep.laser, azimuth_keys(model))
     model = unproject(sensor, sweep.laser, sweep.tick, sweep.count)
-    order = file_order(sweep.laser, azimuth_keys(model))
-    raw = np.rint(model * 1000.0).astype(np.int64)
-    corrected = np.flatnonzero(sweep.millimetre != NO_CORRECTION)
-    raw[corrected] += corrections(sweep.millimetre[corrected])
-    points = _millimetres_to_float(raw, sweep.motion)
-    patched = np.flatnonzero(sweep.ulp != NO_CORRECTION)
-    points[patched] = from_ordered_bits(ordered_bits(points[patched]) + corrections(sweep.ulp[patched]))
-    return points, order
+    compensated = compensated_points(raw_points(model, sweep.millimetre), sweep.motion)
+    return published_points(compensated, sweep.ulp), file_order(sweep.laser, azimuth_keys(model))
+
+
+def middle_counts(sweep: Sweep) -> NDArray[np.float64]:
+    """Return the counts ``(M,)`` in the middle of the sweep's levels."""
+    return sweep.count.astype(np.float64) * sweep.step + (sweep.step - 1) / 2
 
 
 def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:

@@ -73,10 +73,10 @@ def _inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) 
 
 
 @njit(cache=True)
-def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Compensate raw points ``(N, 3)`` in metres for the motion ``(6,)``; float32 ``(N, 3)``."""
+def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compensate raw points ``(N, 3)`` in metres for the motion ``(6,)``; the published ones are its float32."""
     n = raw.shape[0]
-    out = np.empty((n, 3), np.float32)
+    out = np.empty((n, 3))
     for i in range(n):
         x, y, z = _forward(raw[i, 0], raw[i, 1], raw[i, 2], motion)
         out[i, 0] = x

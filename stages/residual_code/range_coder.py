@@ -63,7 +63,9 @@ def _shift_low(state: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
 
 
 @njit(cache=True)
-def encode_interval(state: NDArray[np.int64], out: NDArray[np.uint8], low: int, width: int, bits: int) -> None:
+def encode_interval(
+    state: NDArray[np.int64], out: NDArray[np.uint8], low: int, width: int, bits: int
+) -> None:
     """Encode the interval ``[low, low + width)`` of ``2 ** bits``; width at least 1, bits at most 24."""
     r = state[1] >> bits
     state[0] += r * low

@@ -36,7 +36,7 @@ class SimulationConfig:
     speed_mps: float = 9.0
     speed_wave: float = 0.15
     speed_period_s: float = 17.0
-    yaw: tuple[tuple[float, float], ...] = ((210.0, 0.22), (83.0, 0.06))
+    yaw: tuple[tuple[float, float], ...] = ((210.0, 0.30), (83.0, 0.06))
     scene: str = "mixed"
     movers: int = 12
     parked: float = 0.25

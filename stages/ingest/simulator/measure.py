@@ -18,7 +18,8 @@ SIGMA = 0.0078  # metres, range noise of a strong return on a square hit
 _NEAREST = 0.9  # metres
 _FALL_RANGE = (0.0, 5.0, 9.0, 16.0, 22.0, 30.0, 40.0, 50.0, 62.0, 80.0)
 _FALL = (0.93, 0.93, 0.95, 1.0, 0.95, 0.78, 0.50, 0.33, 0.14, 0.03)
-_GRAZE = (0.036, 0.080)  # cosine of incidence between which a beam along the ground fades
+_GRAZE = (0.040, 0.085)  # cosine of incidence between which a beam along the ground fades
+_ZERO, _ZERO_SPREAD = 0.085, 0.015  # intensity below which zero is reported
 _WEAK = 0.006  # intensity below which most beams are lost
 
 
@@ -37,12 +38,13 @@ def signal(hits: Hits, at: F64, laser_gain: F64, rng: np.random.Generator) -> F6
     material = hits.material
     fall = np.interp(hits.distance, _FALL_RANGE, _FALL)
     graze = np.clip((hits.cosine - _GRAZE[0]) / (_GRAZE[1] - _GRAZE[0]), 0.0, 1.0)
+    graze = np.where(material == NAMES["grass"], np.maximum(graze, 0.5), graze)  # blades stand upright
     shine = np.maximum(hits.cosine, 0.02) ** column("gloss")[material]
     bright = column("brightness")[material] * hits.gain * shine
     bright = bright * (1.0 + column("patch")[material] / column("brightness")[material] * _patches(at))
     # Wet and worn tracks along the road: next to nothing comes back from them.
     track = np.sin(0.13 * at[:, 0] + 2.0 * np.sin(0.09 * at[:, 1]))
-    bright = np.where((material == NAMES["asphalt"]) & (track > 0.97), 0.1 * bright, bright)
+    bright = np.where((material == NAMES["asphalt"]) & (track > 0.985), 0.1 * bright, bright)
     grain = (
         column("grain")[material]
         * rng.normal(size=len(material))
@@ -68,7 +70,12 @@ def ranges(hits: Hits, strength: F64, rng: np.random.Generator) -> F64:
     return np.asarray(hits.distance + np.hypot(sigma, rough) * rng.normal(size=len(sigma)))
 
 
-def intensities(strength: F64) -> NDArray[np.float32]:
-    """Round to whole hundredths as KITTI does: ``float32(n / 100)``, n in 0 to 100."""
+def intensities(material: NDArray[np.uint8], strength: F64, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Round to whole hundredths as KITTI does: ``float32(n / 100)``, n in 0 to 100.
+
+    Returns weaker than about 0.09 are reported as 0.
+    """
     n = np.clip(np.rint(strength * 100.0), 0, 100)
-    return np.where(n < 3, 0.0, n / 100.0).astype(np.float32)
+    dark = strength < _ZERO + _ZERO_SPREAD * rng.normal(size=len(strength))
+    dark |= rng.random(len(strength)) < column("blank")[material]
+    return np.where(dark, 0.0, n / 100.0).astype(np.float32)

@@ -92,7 +92,9 @@ class _Builder:
                 left = edge - 1.15 if st.parking else edge + 0.7
                 self.put(mesh.labelled(int(mesh.label[0]), self.instances), s, side * left, turn, 0.02)
         for s in self.along(st, 20, 32):
-            self.put(structures.lamp(rng), s, side * max(edge + 0.4, st.edge(self.road) - 0.4), -side * np.pi / 2)
+            self.put(
+                structures.lamp(rng), s, side * max(edge + 0.4, st.edge(self.road) - 0.4), -side * np.pi / 2
+            )
         for s in self.along(st, 18, 60):
             self.put(structures.sign(rng), s, side * (edge + 0.45), 0.0 if side < 0 else np.pi)
         for s in self.along(st, 7, 36):
@@ -118,12 +120,22 @@ class _Builder:
                 )
                 self.put(part, float(s), st.side * left)
 
+    def scrub(self, st: Stretch, left: float) -> None:
+        """A belt of tall shrubs with gaps."""
+        for s in np.arange(st.start, st.end - 5, 5.0):
+            if self.rng.random() < 0.85:
+                tall, thick = float(self.rng.uniform(1.8, 4.5)), float(self.rng.uniform(1.2, 2.4))
+                out = left + float(self.rng.normal(0, 0.3))
+                self.put(plants.hedge(5.0, tall, thick, self.rng), float(s), st.side * out)
+
     def backdrop(self, st: Stretch) -> None:
         """What stands behind the sidewalk: houses, gardens, woods."""
         rng, side, edge = self.rng, st.side, st.edge(self.road)
         turn = 0.0 if side > 0 else np.pi
         if st.kind in ("houses", "wall"):
             self.border(st, edge + 0.5)
+        elif st.kind == "green" and rng.random() < 0.6:
+            self.scrub(st, edge + float(rng.uniform(1.5, 5.0)))
         if st.kind in ("row", "houses"):
             gap = (0.0, 0.5) if st.kind == "row" else (4.0, 12.0)
             s = st.start + float(rng.uniform(*gap))

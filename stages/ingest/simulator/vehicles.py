@@ -5,6 +5,8 @@ Each stands on z = 0 with its middle at x = y = 0 and looks along +x.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from salpcc.stages.ingest.simulator.materials import NAMES
@@ -42,7 +44,7 @@ def car(rng: np.random.Generator, label: int = CAR) -> Mesh:
     kind = str(rng.choice(list(_SHAPES), p=[0.32, 0.22, 0.2, 0.14, 0.12]))
     length, width, height, lower, cabin = _SHAPES[kind]
     half = length / 2
-    gain = float(rng.uniform(0.0, 0.2) if rng.random() < 0.55 else rng.uniform(0.5, 2.0))
+    gain = float(rng.uniform(0.0, 0.3) if rng.random() < 0.45 else rng.uniform(0.5, 1.8))
     body = [(x * half, z) for x, z in lower] + [(-half * 0.97, 0.24), (half * 0.97, 0.22)]
     lean = 0.12 if kind != "van" else 0.06
     top = np.array([0.0, 1, 1, 0])
@@ -110,9 +112,7 @@ def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
     parts = []
     for x in (0.52, -0.52):
         rim = np.stack([x + 0.33 * np.cos(angle), np.zeros(11), 0.34 + 0.33 * np.sin(angle)], 1)
-        parts += [
-            tube(a, b, (0.022, 0.022), TYRE, label, 4, False, 4.0) for a, b in zip(rim, rim[1:], strict=False)
-        ]
+        parts += [tube(a, b, (0.022, 0.022), TYRE, label, 4, False, 4.0) for a, b in pairwise(rim)]
     bars = [((0.52, 0, 0.34), (0.38, 0, 0.95)), ((0.38, 0, 0.8), (-0.15, 0, 0.75)), ((0.38, 0, 0.7), (-0.05, 0, 0.3)),
             ((-0.05, 0, 0.3), (-0.2, 0, 0.9)), ((-0.52, 0, 0.34), (-0.05, 0, 0.3)), ((0.36, -0.28, 1.0), (0.36, 0.28, 1.0))]  # fmt: skip
     parts += [tube(a, b, (0.025, 0.025), METAL, label, 5, False, gain) for a, b in bars]

@@ -1,0 +1,135 @@
+"""Intensity in hundredths, given the ranges: adaptive bits against the neighbours' mean.
+
+The return to the left and those of the ring above predict the intensity the better the nearer their
+range is; where the range jumps, so does the material.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.residual_code.range_coder import (
+    decode_bit,
+    encode_bit,
+    finish_encoder,
+    start_decoder,
+    start_encoder,
+)
+
+LEVELS = 101
+_TREE = 128
+_MEANS = 26
+_SPREADS = 6
+CONTEXTS = _MEANS * _SPREADS * _TREE
+
+
+@njit(cache=True)
+def _nearness(a: float, b: float) -> float:
+    """Weight of a neighbour at range b for a return at range a."""
+    gap = abs(a - b) / (a + b + 1.0)
+    return 1.0 / (1.0 + 300.0 * gap)
+
+
+@njit(cache=True)
+def _context(
+    i: int,
+    begin: int,
+    above: int,
+    j: int,
+    level: NDArray[np.int32],
+    value: NDArray[np.uint8],
+) -> int:
+    """Context of return i: mean and spread of its neighbours' intensities."""
+    r = float(level[i])
+    total = 0.0
+    mean = 0.0
+    left = 0
+    if i > begin:
+        left = np.int64(value[i - 1])
+        weight = 1.5 * _nearness(r, level[i - 1])
+        total += weight
+        mean += weight * value[i - 1]
+        if i - 1 > begin:
+            weight = _nearness(r, level[i - 2])
+            total += weight
+            mean += weight * value[i - 2]
+    upper = left
+    for u in range(j - 1, j + 3):
+        if above <= u < begin:
+            weight = _nearness(r, level[u])
+            if u == j or u == j + 1:
+                weight *= 1.5
+            total += weight
+            mean += weight * value[u]
+    if above <= j < begin:
+        upper = np.int64(value[j])
+    if total > 0.0:
+        mean /= total
+    apart = abs(left - mean) + abs(upper - mean)
+    spread = 0
+    limit = 1.5
+    while spread < _SPREADS - 1 and apart > limit:
+        limit *= 2.0
+        spread += 1
+    return min(np.int64(mean * 0.25 + 0.5), _MEANS - 1) * _SPREADS + spread
+
+
+@njit(cache=True)
+def encode_intensity(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    level: NDArray[np.int32],
+    value: NDArray[np.uint8],
+    model: NDArray[np.uint16],
+    out: NDArray[np.uint8],
+) -> int:
+    """Encode intensities 0..100 ``(M,)``; return the bytes written to ``out``, -1 if full."""
+    state = start_encoder()
+    above = 0
+    for k in range(len(starts) - 1):
+        begin = starts[k]
+        j = above - 1
+        for i in range(begin, starts[k + 1]):
+            while j + 1 < begin and tick[j + 1] <= tick[i]:
+                j += 1
+            context = _context(i, begin, above, j, level, value)
+            node = 1
+            for b in range(6, -1, -1):
+                bit = (np.int64(value[i]) >> b) & 1
+                encode_bit(state, out, model, context * _TREE + node, bit)
+                node = node << 1 | bit
+        if starts[k + 1] > begin:
+            above = begin
+    return finish_encoder(state, out)
+
+
+@njit(cache=True)
+def decode_intensity(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    level: NDArray[np.int32],
+    model: NDArray[np.uint16],
+    data: NDArray[np.uint8],
+) -> tuple[NDArray[np.uint8], bool]:
+    """Inverse of :func:`encode_intensity`; the values and whether the data sufficed and made sense."""
+    value = np.zeros(len(tick), np.uint8)
+    state = start_decoder(data)
+    above = 0
+    for k in range(len(starts) - 1):
+        begin = starts[k]
+        j = above - 1
+        for i in range(begin, starts[k + 1]):
+            while j + 1 < begin and tick[j + 1] <= tick[i]:
+                j += 1
+            context = _context(i, begin, above, j, level, value)
+            node = 1
+            for _bit in range(7):
+                node = node << 1 | decode_bit(state, data, model, context * _TREE + node)
+            if node - _TREE >= LEVELS:
+                return value, False
+            value[i] = node - _TREE
+        if starts[k + 1] > begin:
+            above = begin
+    return value, state[3] == 0

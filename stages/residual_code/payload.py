@@ -1,0 +1,147 @@
+"""The payload of one scan: a header, the coded streams, and two checksums (schemas/ARCHIVE.md).
+
+The last four bytes check the payload as it lies in the file, before anything is decoded. A second CRC
+in the header is of the plain content: it catches an encoder and a decoder that disagree.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.sweep import Sweep
+
+CODEC_VERSION = 1
+EFFORTS = ("fast", "default", "max")
+STREAMS = (
+    "mask",
+    "levels",
+    "millimetre",
+    "ulp",
+    "stray_points",
+    "intensity",
+    "stray_intensity",
+    "classes",
+)
+GROUPS = ("geometry", "intensity", "classes", "side")
+_GROUP_OF_STREAM = (0, 0, 0, 0, 0, 1, 1, 2)
+
+MOTION, CLASSES, FLOAT_INTENSITY = 1, 2, 4
+_FIXED = struct.Struct("<BBBBIIIIddd I 8I")
+_MOTION = struct.Struct("<6d")
+_CRC = struct.Struct("<I")
+MAX_POINTS = 1 << 24
+
+
+@dataclass(frozen=True)
+class Payload:
+    """Bytes of one scan and how many of them each group of streams took; the groups add up to all."""
+
+    data: bytes
+    sizes: dict[str, int]
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a decoder must know before the streams; counts are of kept points."""
+
+    flags: int
+    effort: str
+    n_points: int
+    returns: int
+    strays: int
+    step: int
+    max_error: float
+    millimetre_reach: float
+    ulp_reach: float
+    content_crc: int
+    motion: NDArray[np.float64] | None
+
+
+def content_crc(sweep: Sweep) -> int:
+    """CRC-32 of all that a sweep decodes to."""
+    crc = 0
+    for array, kind in (
+        (sweep.laser, "u1"),
+        (sweep.tick, "<i4"),
+        (sweep.count, "<i4"),
+        (sweep.intensity, "<f4"),
+        (sweep.millimetre, "u1"),
+        (sweep.ulp, "u1"),
+        (sweep.stray_index, "<i8"),
+        (sweep.stray_points, "<f4"),
+        (sweep.classes, "u1"),
+        (sweep.stray_classes, "u1"),
+    ):
+        if array is not None:
+            crc = zlib.crc32(np.ascontiguousarray(array, dtype=kind).tobytes(), crc)
+    return crc
+
+
+def pack(header: Header, streams: list[bytes]) -> Payload:
+    """Join header and streams (one per name in STREAMS)."""
+    parts = [
+        _FIXED.pack(
+            CODEC_VERSION, header.flags, EFFORTS.index(header.effort), 0,
+            header.n_points, header.returns, header.strays, header.step,
+            header.max_error, header.millimetre_reach, header.ulp_reach,
+            header.content_crc, *(len(stream) for stream in streams),
+        )
+    ]  # fmt: skip
+    if header.motion is not None:
+        parts.append(_MOTION.pack(*header.motion))
+    sizes = dict.fromkeys(GROUPS, 0)
+    sizes["geometry"] = sum(len(part) for part in parts)
+    sizes["side"] = _CRC.size
+    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=True):
+        sizes[GROUPS[group]] += len(stream)
+    body = b"".join(parts + streams)
+    return Payload(body + _CRC.pack(zlib.crc32(body)), sizes)
+
+
+def unpack(data: bytes) -> tuple[Header, list[bytes]]:
+    """Take a payload apart; inverse of :func:`pack`.
+
+    Raises:
+        ArchiveError: the checksum fails, the version is newer, or a length does not fit.
+    """
+    if len(data) < _FIXED.size + _CRC.size:
+        raise ArchiveError("payload is truncated")
+    (crc,) = _CRC.unpack_from(data, len(data) - _CRC.size)
+    if zlib.crc32(data[: -_CRC.size]) != crc:
+        raise ArchiveError("payload is damaged (checksum differs)")
+    fields = _FIXED.unpack_from(data)
+    version, flags, effort, _, n_points, returns, strays, step = fields[:8]
+    if version != CODEC_VERSION:
+        raise ArchiveError(f"payload has codec version {version}, this tool reads {CODEC_VERSION}")
+    position = _FIXED.size
+    motion = None
+    if flags & MOTION:
+        if len(data) < position + _MOTION.size + _CRC.size:
+            raise ArchiveError("payload is truncated")
+        motion = np.array(_MOTION.unpack_from(data, position))
+        position += _MOTION.size
+    lengths = fields[12:]
+    sound = (
+        effort < len(EFFORTS)
+        and returns + strays <= n_points <= MAX_POINTS
+        and 1 <= step < 1 << 16
+        and all(np.isfinite(fields[8:11]))
+        and (motion is None or bool(np.isfinite(motion).all()))
+        and position + sum(lengths) + _CRC.size == len(data)
+    )
+    if not sound:
+        raise ArchiveError("payload has a header that cannot be")
+    header = Header(
+        flags, EFFORTS[effort], n_points, returns, strays, step, *fields[8:11], fields[11], motion
+    )
+    streams = []
+    for length in lengths:
+        streams.append(data[position : position + length])
+        position += length
+    return header, streams
