@@ -1,0 +1,122 @@
+"""The network in exact arithmetic: float32 holding integers below 2 ** 24 (SENSOR_LATTICE.md, section 4).
+
+Activations are integers 0..1023 (1/128 of a unit), weights integers with a power-of-two scale per
+layer. No partial sum can reach 2 ** 24 (:func:`check` proves it when weights are loaded), so every
+addition is exact and the order of summation does not matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import SalpccError
+from salpcc.stages.predict.learned.features import LIMIT, SCALE
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Integer weights as float32.
+
+    Attributes:
+        first: ``(inputs, width)``; embedding: ``(lasers, width)`` biases of the first layer;
+        hidden: ``(layers, width, width)`` with biases ``(layers, width)``;
+        last: ``(width, outputs)`` with biases ``(outputs,)``;
+        scales: ``(layers + 2,)`` the power-of-two scale of each layer's weights.
+    """
+
+    first: F32
+    embedding: F32
+    hidden: F32
+    hidden_bias: F32
+    last: F32
+    last_bias: F32
+    scales: F32
+
+
+def load_network(path: Path) -> Network:
+    """Read weights written by :func:`save_network`; raises SalpccError where they are not exact."""
+    with np.load(path) as stored:
+        network = Network(**{name: stored[name].astype(np.float32) for name in Network.__annotations__})
+    check(network)
+    return network
+
+
+def save_network(path: Path, network: Network) -> None:
+    """Write the weights as 32-bit integers; inverse of :func:`load_network`."""
+    np.savez_compressed(path, **{name: value.astype(np.int32) for name, value in vars(network).items()})
+
+
+def check(network: Network) -> None:
+    """Raise SalpccError if some sum could leave the exact integers of float32."""
+    layers = [(network.first, network.embedding), (network.last, network.last_bias[None])]
+    layers += [(w, b[None]) for w, b in zip(network.hidden, network.hidden_bias, strict=True)]
+    for weight, bias in layers:
+        reach = np.abs(weight).astype(np.float64).sum(0) * LIMIT + np.abs(bias).max(0)
+        if reach.max() >= 2.0**24 or (weight != np.floor(weight)).any():
+            raise SalpccError(
+                "network weights are not exact in float32: export them again with smaller scales"
+            )
+
+
+@njit(cache=True, error_model="numpy")
+def _layer(weight: F32, x: F32, n: int, acc: F32) -> None:
+    """Add ``x[:n] @ weight`` to ``acc``; n is a multiple of 4."""
+    m = weight.shape[1]
+    for k in range(0, n, 4):
+        x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
+        for j in range(m):
+            acc[j] += (weight[k, j] * x0 + weight[k + 1, j] * x1) + (
+                weight[k + 2, j] * x2 + weight[k + 3, j] * x3
+            )
+
+
+@njit(cache=True, error_model="numpy")
+def _activate(acc: F32, n: int, scale: np.float32, h: F32) -> None:
+    inverse = np.float32(1.0) / scale
+    half = np.float32(0.5)
+    limit = np.float32(LIMIT)
+    zero = np.float32(0.0)
+    for j in range(n):
+        h[j] = min(max(np.floor(acc[j] * inverse + half), zero), limit)
+
+
+@njit(cache=True, error_model="numpy")
+def forward(
+    x: F32,
+    laser: int,
+    first: F32,
+    embedding: F32,
+    hidden: F32,
+    hidden_bias: F32,
+    last: F32,
+    last_bias: F32,
+    scales: F32,
+    h: F32,
+    acc: F32,
+    out: F32,
+) -> None:
+    """Run the network on integer features ``x``; fills ``out`` with real values (exact float32)."""
+    width = first.shape[1]
+    for j in range(width):
+        acc[j] = embedding[laser, j]
+    _layer(first, x, len(x), acc)
+    _activate(acc, width, scales[0], h)
+    for layer in range(hidden.shape[0]):
+        for j in range(width):
+            acc[j] = hidden_bias[layer, j]
+        _layer(hidden[layer], h, width, acc)
+        _activate(acc, width, scales[1 + layer], h)
+    n = last.shape[1]
+    for j in range(n):
+        out[j] = last_bias[j]
+    _layer(last, h, width, out)
+    inverse = np.float32(1.0) / (scales[len(scales) - 1] * np.float32(SCALE))
+    for j in range(n):
+        out[j] *= inverse
