@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.simulator.drive import Drive
@@ -33,16 +32,20 @@ class _Scene:
     """A mesh in Embree."""
 
     def __init__(self, mesh: Mesh) -> None:
+        # Open3D takes seconds and 100 MB to import; whoever only names the simulator should not pay.
+        import open3d
+
         self.mesh = mesh
         self.centre = mesh.vertices.mean(0)
-        self.scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        points = (mesh.vertices - self.centre).astype(np.float32)
-        self.scene.add_triangles(o3d.core.Tensor(points), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
+        self._tensor = open3d.core.Tensor.from_numpy
+        self._scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+        points = np.ascontiguousarray(mesh.vertices - self.centre, np.float32)
+        self._scene.add_triangles(self._tensor(points), self._tensor(mesh.triangles.astype(np.uint32)))
 
     def cast(self, origin: F64, direction: F64) -> Hits:
         """Cast rays ``(N, 3)``; directions are unit vectors."""
         rays = np.concatenate([origin - self.centre, direction], axis=1).astype(np.float32)
-        answer = self.scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)
+        answer = self._scene.cast_rays(self._tensor(rays), nthreads=1)
         distance = answer["t_hit"].numpy().astype(np.float64)
         hit = np.isfinite(distance)
         triangle = np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), 0)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from salpcc.stages.ingest.simulator.config import SimulationConfig
 
 F64 = NDArray[np.float64]
+Lengths = NDArray[np.float64] | np.float64
 _STEP = 0.25  # metres between nodes of the centre line
 MARGIN = 110.0  # metres of street before the start and after the end of the drive
 
@@ -24,17 +25,17 @@ class CentreLine:
     heading: F64
     height: F64
 
-    def place(self, s: F64, left: F64) -> F64:
+    def place(self, s: Lengths, left: Lengths) -> F64:
         """Return the points ``(..., 3)`` at ``left`` metres beside length ``s``, on the axis' height."""
         x, y = (np.interp(s, self.s, self.xy[:, i]) for i in (0, 1))
         h = self.angle(s)
         return np.stack([x - left * np.sin(h), y + left * np.cos(h), np.interp(s, self.s, self.height)], -1)
 
-    def angle(self, s: F64) -> F64:
+    def angle(self, s: Lengths) -> F64:
         """Return the heading at length ``s`` in rad."""
         return np.asarray(np.interp(s, self.s, self.heading))
 
-    def slope(self, s: F64) -> F64:
+    def slope(self, s: Lengths) -> F64:
         """Return the rise per metre at length ``s``."""
         return np.asarray((np.interp(s + 1, self.s, self.height) - np.interp(s - 1, self.s, self.height)) / 2)
 

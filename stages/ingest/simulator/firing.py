@@ -48,7 +48,7 @@ def firing_ticks(ticks_per_turn: int, rate: float, rng: np.random.Generator) -> 
     """
     start = float(rng.uniform(0, rate))
     steps = np.floor(start + rate * np.arange(int((ticks_per_turn - start) / rate))).astype(np.int64)
-    return (ticks_per_turn // 2 + steps) % ticks_per_turn
+    return np.asarray((ticks_per_turn // 2 + steps) % ticks_per_turn)
 
 
 def shots(sensor: SensorModel, ticks: NDArray[np.int64]) -> Shots:

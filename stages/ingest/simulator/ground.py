@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.simulator.drive import CentreLine
+from salpcc.stages.ingest.simulator.drive import CentreLine, Lengths
 from salpcc.stages.ingest.simulator.materials import NAMES
 from salpcc.stages.ingest.simulator.mesh import Mesh, grid, merge, surface
 
@@ -35,7 +35,7 @@ class Stretch:
         return road + self.parking + self.sidewalk
 
 
-def height(line: CentreLine, s: F64, left: F64, road: float) -> F64:
+def height(s: Lengths, left: Lengths, road: float) -> F64:
     """Return how far the open ground lies above the axis ``left`` metres beside length ``s``."""
     out = np.maximum(np.abs(left) - road, 0.0)
     side = np.sign(left)
@@ -56,7 +56,7 @@ def ground(line: CentreLine, stretches: list[Stretch], road: float, crossings: l
             crossing = np.zeros_like(s, bool)
             for c in crossings:
                 crossing |= np.abs(s - c) < 4.0
-            up = height(line, rows, cols * side, road)
+            up = height(rows, cols * side, road)
             up[:, 3:] += np.where(crossing, 0.0, KERB)[:, None]
             points = line.place(rows, cols * side)
             points[..., 2] += up

@@ -92,20 +92,20 @@ def _scan(number: int, drive: Drive, caster: Caster, sensor: SensorModel) -> Sim
     distance = measure.ranges(hits, strength, rng)
     count = np.rint((distance[kept] - sensor.d0[laser[kept]]) / sensor.count).astype(np.int32)
     kept[kept] = count > 0
-    count, laser = count[count > 0], laser[kept]
-    tick = shots.tick[laser, column[kept]].astype(np.int32)
+    count, beam = count[count > 0], laser[kept].astype(np.uint8)
+    tick = shots.tick[laser, column][kept].astype(np.int32)
 
-    model = unproject(sensor, laser, tick, count)
+    model = unproject(sensor, beam, tick, count)
     off = model + rng.normal(0, _MODEL_ERROR, model.shape)
     raw = (np.rint(off * 1000.0) / 1000.0).astype(np.float32)
     # Real files are sorted by the azimuth of the point before it was rounded, not by the tick.
-    order = np.lexsort((np.arctan2(model[:, 1], model[:, 0]) % (2 * np.pi), laser))
+    order = np.lexsort((np.arctan2(model[:, 1], model[:, 0]) % (2 * np.pi), beam))
     raw = raw[order]
     label = hits.label[kept][order]
     label[np.linalg.norm(raw, axis=1) > config.label_range] = 0
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position
     return SimulatedScan(
-        number, t, twist(raw.astype(np.float64), motion), raw, measure.intensities(hits.material[kept], strength[kept], rng)[order], label,
-        motion, pose, laser[order].astype(np.uint8), tick[order], count[order],
+        number, t, twist(raw.astype(np.float64), motion).astype(np.float32), raw, measure.intensities(hits.material[kept], strength[kept], rng)[order], label,
+        motion, pose, beam[order], tick[order], count[order],
     )  # fmt: skip

@@ -68,7 +68,7 @@ class _Builder:
         if any(abs(s - c) < 7.0 for c in self.crossings) and abs(left) < 45:
             return
         place = self.line.place(np.float64(s), np.float64(left))
-        place[2] += float(height(self.line, np.float64(s), np.float64(left), self.road)) + kerb
+        place[2] += float(height(np.float64(s), np.float64(left), self.road)) + kerb
         self.pieces.append(Piece(s, mesh.moved(place, float(self.line.angle(np.float64(s))) + turn)))
 
     def along(self, st: Stretch, low: float, high: float) -> list[float]:

@@ -44,7 +44,7 @@ class Mover:
         s = self.start + (float(drive.length(t)) if self.pace is None else self.pace * t)
         at, beside = np.float64(s), np.float64(self.left)
         place = drive.line.place(at, beside)
-        place[2] += float(height(drive.line, at, beside, self.road)) + self.lift
+        place[2] += float(height(at, beside, self.road)) + self.lift
         back = self.pace is not None and self.pace < 0
         return float(drive.line.angle(at)) + (np.pi if back else 0.0), place
 
