@@ -44,7 +44,7 @@ class Promise:
         intensity: a fourth column is carried, bit-exact.
     """
 
-    bound: Literal["exact", "axis", "none"]
+    bound: Literal["exact", "axis", "distance", "none"]
     order: bool
     count: bool
     intensity: bool

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
 import numpy as np
+import pyarrow as pa
 from scipy.spatial import cKDTree
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.contract import Baseline, Points
 from salpcc.stages.evaluate.metrics import point_errors, same_bits, symmetric_distance
+from salpcc.stages.evaluate.schema import BASELINES as BASELINES_SCHEMA
 
 ERRORS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # metres; what users ask for, and a curve's worth of them
 
@@ -22,8 +24,16 @@ _T = TypeVar("_T")
 
 
 def asked_errors(name: str) -> tuple[float, ...]:
-    """Return the errors that a baseline is measured at: 0 alone where it is bit-exact."""
-    return (0.0,) if BASELINES[name].promise.bound == "exact" else ERRORS
+    """Return the errors that a baseline is measured at; 0 is bit-exact."""
+    bound = BASELINES[name].promise.bound
+    return {"exact": (0.0,), "distance": (0.0, *ERRORS)}.get(bound, ERRORS)
+
+
+def measure_scans(name: str, scans: Iterable[Scan], sequence: str) -> pa.Table:
+    """Measure a baseline at each of its errors on each scan: a BASELINES table, good for one task of a run."""
+    errors = asked_errors(name)
+    rows = [measure(name, scan, sequence, error) for scan in scans for error in errors]
+    return pa.Table.from_pylist(rows, schema=BASELINES_SCHEMA)
 
 
 def measure(name: str, scan: Scan, sequence: str, max_error: float) -> dict[str, Any]:

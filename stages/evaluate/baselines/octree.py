@@ -21,7 +21,7 @@ from salpcc.stages.evaluate.baselines.contract import (
     quantize,
     step_of,
 )
-from salpcc.stages.evaluate.baselines.range_coder import decode_bytes, encode_bytes
+from salpcc.stages.evaluate.baselines.static_range_coder import decode_bytes, encode_bytes
 
 _HEAD = struct.Struct("<dqqqB")  # step, origin in steps, depth
 _MAX_DEPTH = 21

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from salpcc.stages.evaluate.baselines.octree import decode, encode, interleave, separate
-from salpcc.stages.evaluate.baselines.range_coder import decode_bytes, encode_bytes
+from salpcc.stages.evaluate.baselines.static_range_coder import decode_bytes, encode_bytes
 
 CELLS = hnp.arrays(np.uint64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.integers(0, 2**21 - 1))
 
