@@ -124,18 +124,28 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
 
 def _return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return the points ``(M, 3)`` of the returns in firing order, and their order in the file."""
+    model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
+    order = file_order(sweep.laser, azimuth_keys(model))
     if sweep.max_error > 0:
-        model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
         points = model if sweep.motion is None else twist(model, sweep.motion)
-        return points.astype(np.float32), file_order(sweep.laser, azimuth_keys(model))
-    model = unproject(sensor, sweep.laser, sweep.tick, sweep.count)
+        return points.astype(np.float32), order
     compensated = compensated_points(raw_points(model, sweep.millimetre), sweep.motion)
-    return published_points(compensated, sweep.ulp), file_order(sweep.laser, azimuth_keys(model))
+    return published_points(compensated, sweep.ulp), order
 
 
 def middle_counts(sweep: Sweep) -> NDArray[np.float64]:
     """Return the counts ``(M,)`` in the middle of the sweep's levels."""
     return sweep.count.astype(np.float64) * sweep.step + (sweep.step - 1) / 2
+
+
+def source_places(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the places in file order of the returns ``(M,)`` and of the strays ``(S,)``."""
+    model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
+    free = np.ones(len(sweep), np.bool_)
+    free[sweep.stray_index] = False
+    places = np.empty(len(sweep.laser), np.int64)
+    places[file_order(sweep.laser, azimuth_keys(model))] = np.flatnonzero(free)
+    return places, sweep.stray_index
 
 
 def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:

@@ -1,0 +1,48 @@
+"""Ground fit: one plane per region of ground that has enough points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.labels import GROUND, GROUP_OF_CLASS
+from salpcc.schemas.shards import PLANES, table_to_sweeps
+from salpcc.stages.ground_fit.plane import fit_plane
+from salpcc.stages.ground_fit.regions import region_of
+from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.ingest.sweep import middle_counts
+
+VERSION = 1
+_MIN_POINTS = 30
+
+
+def run(task: pa.Table, config: RunConfig) -> pa.Table:
+    """Turn a TASK table into a PLANES table: planes ``a x + b y + c z + d = 0`` with c = -1."""
+    sensor = load_sensor(config.sensor)
+    rows = []
+    for sweep in table_to_sweeps(task):
+        if sweep.classes is None:
+            continue
+        ground = np.flatnonzero(GROUP_OF_CLASS[sweep.classes] == GROUND)
+        counts = middle_counts(sweep)[ground]
+        points = unproject(sensor, sweep.laser[ground], sweep.tick[ground], counts)
+        region = region_of(points)
+        for number in np.unique(region):
+            inside = points[region == number]
+            if len(inside) < _MIN_POINTS:
+                continue
+            a, b, d = (float(value) for value in fit_plane(inside))
+            rows.append(
+                {
+                    "name": sweep.name,
+                    "region": int(number),
+                    "a": a,
+                    "b": b,
+                    "c": -1.0,
+                    "d": d,
+                    "n_points": len(inside),
+                }
+            )
+    return pa.Table.from_pylist(rows, schema=PLANES)

@@ -1,0 +1,37 @@
+"""Residual code: entropy-code every stream of every scan of a GOP into payloads."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.shards import PAYLOAD, list_array, table_to_sweeps
+from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.residual_code.gop import Models, encode_scan
+
+VERSION = 1
+
+
+def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
+    """Turn the TASK and PREDICTION tables of a GOP into its PAYLOAD table."""
+    sensor = load_sensor(config.sensor)
+    models = Models()
+    rows = []
+    for i, sweep in enumerate(table_to_sweeps(task)):
+        predicted = list_array(prediction, "prediction", i)
+        spread = list_array(prediction, "spread", i)
+        payload = encode_scan(sweep, sensor, predicted, spread, models, config.effort)
+        rows.append(
+            {
+                "name": sweep.name,
+                "time": sweep.time,
+                "frame_id": sweep.frame_id,
+                "n_points": sweep.n_points,
+                "kept": len(sweep),
+                "dropped_movable": task.column("dropped_movable")[i].as_py(),
+                "strays": len(sweep.stray_index),
+                "data": payload.data,
+                **payload.sizes,
+            }
+        )
+    return pa.Table.from_pylist(rows, schema=PAYLOAD)

@@ -1,0 +1,48 @@
+"""Segment: label every return, drop what the task does not keep, quantise what it keeps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pyarrow as pa
+
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
+from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps
+from salpcc.schemas.sweep import Sweep
+from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
+from salpcc.stages.ingest.sweep import source_places, sweep_to_scan
+from salpcc.stages.segment.geometric import split_ground
+from salpcc.stages.segment.task import keep, quantise
+
+VERSION = 1
+
+
+def run(table: pa.Table, config: RunConfig) -> pa.Table:
+    """Turn a SWEEP table into a TASK table."""
+    sensor = load_sensor(config.sensor)
+    sweeps, dropped = [], []
+    for sweep in table_to_sweeps(table):
+        labelled = sweep if sweep.classes is not None else label(sweep, sensor)
+        task = labelled if config.keep_movable else drop_movable(labelled, sensor)
+        dropped.append(len(sweep) - len(task))
+        sweeps.append(task if config.max_error is None else quantise(task, sensor, config.max_error))
+    return sweeps_to_table(sweeps, dropped)
+
+
+def label(sweep: Sweep, sensor: SensorModel) -> Sweep:
+    """Return the sweep with classes from the geometric split."""
+    classes = split_ground(sweep_to_scan(sweep, sensor).points)
+    on, off = source_places(sweep, sensor)
+    return replace(sweep, classes=classes[on], stray_classes=classes[off])
+
+
+def drop_movable(sweep: Sweep, sensor: SensorModel) -> Sweep:
+    """Return the sweep without its movable returns and strays."""
+    assert sweep.classes is not None and sweep.stray_classes is not None
+    return keep(
+        sweep,
+        sensor,
+        GROUP_OF_CLASS[sweep.classes] != MOVABLE,
+        GROUP_OF_CLASS[sweep.stray_classes] != MOVABLE,
+    )
