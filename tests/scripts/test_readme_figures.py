@@ -1,0 +1,60 @@
+"""The README's figures come from report.json, between markers, and nothing else changes."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pyarrow as pa
+import pytest
+
+from salpcc.stages.evaluate import report
+from salpcc.stages.evaluate.record import record
+from salpcc.stages.evaluate.schema import METRICS
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "readme_figures.py"
+
+
+@pytest.fixture
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("readme_figures", SCRIPT)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    counts = {f.name: 0 for f in METRICS if pa.types.is_integer(f.type)}
+    row = counts | {"sequence": "00", "name": "000000", "points_in": 1000, "bytes_geometry": 875}
+    record(tmp_path, {"command": ["run", "it"]}, metrics=pa.Table.from_pylist([row], schema=METRICS))
+    report.build(tmp_path)
+    return tmp_path
+
+
+def test_blocks_are_filled_and_the_rest_stays(script: ModuleType, out: Path, tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text("# Title\n<!-- figures:begin summary -->\nold 9.99\n<!-- figures:end -->\nend\n")
+    assert script.main([str(out), "--readme", str(readme), "--check"]) == 1
+    assert script.main([str(out), "--readme", str(readme)]) == 0
+    text = readme.read_text()
+    assert text.startswith("# Title\n") and text.endswith("<!-- figures:end -->\nend\n")
+    assert "9.99" not in text and "| 00 | 1 | 1,000 | 7.00 |" in text and "`run it`" in text
+    assert script.main([str(out), "--readme", str(readme), "--check"]) == 0
+
+
+def test_figures_that_were_typed_are_noticed(script: ModuleType, out: Path, tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text("<!-- figures:begin bytes -->\n<!-- figures:end -->\n")
+    script.main([str(out), "--readme", str(readme)])
+    readme.write_text(readme.read_text().replace("875", "874"))
+    assert script.main([str(out), "--readme", str(readme), "--check"]) == 1
+
+
+def test_an_unknown_table_is_refused(script: ModuleType, out: Path) -> None:
+    figures = json.loads((out / "report" / "report.json").read_text())
+    with pytest.raises(ValueError, match="no table 'mood'"):
+        script.fill("<!-- figures:begin mood -->\n<!-- figures:end -->", figures)
