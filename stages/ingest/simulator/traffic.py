@@ -82,7 +82,7 @@ def spread(drive: Drive, road: float, stretches: list[Stretch], first_instance: 
         else:
             pace = float(rng.uniform(3, 6)) * (1 if side < 0 else -1)
             movers.append(
-                Mover(_cyclist(rng, instance), near - pace * meeting, pace, side * (road - 0.6), 0.0, road)
+                Mover(_cyclist(rng, instance), near - pace * meeting, pace, side * (road - 0.3), 0.0, road)
             )
     return movers
 
