@@ -73,11 +73,10 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
         "peak_mb": 0.0,
     }
     for gop, result in zip(plan.gops, results, strict=True):
+        record["errors"] += [vars(error) for error in result.errors]
         if result.failed:
-            record["errors"] += [vars(e) for e in result.errors]
             continue
-        _, facts = store.read(dict(result.shards)["residual_code"])
-        record["errors"] += facts["errors"]
+        facts = store.facts(dict(result.shards)["residual_code"])
         record["times"] += [[gop.number, *row] for row in facts["times"]]
         record["peak_mb"] = max(record["peak_mb"], facts["peak_mb"])
     with atomic(record_path(out, plan.sequence)) as stream:

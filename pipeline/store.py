@@ -58,6 +58,14 @@ class ShardStore:
         """
         return read_shard(self.root / ref.path)
 
+    def facts(self, ref: ShardRef) -> dict[str, Any]:
+        """Read the facts of a shard only.
+
+        Raises:
+            ShardError: as in :meth:`read`.
+        """
+        return read_shard(self.root / ref.path, facts_only=True)[1]
+
     def drop_sequence(self, sequence: str, stages: Iterable[str]) -> None:
         """Delete the shards of some stages of a sequence."""
         for stage in stages:
@@ -72,16 +80,16 @@ class ShardStore:
             part.unlink(missing_ok=True)
 
 
-def read_shard(path: Path) -> tuple[pa.Table, dict[str, Any]]:
-    """Read any shard file: its table and its facts.
+def read_shard(path: Path, facts_only: bool = False) -> tuple[pa.Table, dict[str, Any]]:
+    """Read any shard file: its table (empty where ``facts_only``) and its facts.
 
     Raises:
         ShardError: missing, damaged, or from a newer major version.
     """
     try:
-        with pa.ipc.open_file(pa.BufferReader(path.read_bytes())) as reader:
+        with pa.OSFile(str(path)) as file, pa.ipc.open_file(file) as reader:
             facts = facts_of(reader.schema, str(path))
-            return reader.read_all(), facts
+            return (reader.schema.empty_table() if facts_only else reader.read_all()), facts
     except OSError as error:
         raise ShardError(f"{path}: {error.strerror or error}; run the command again") from error
     except pa.ArrowException as error:

@@ -98,11 +98,13 @@ def run_stage(
     store = ShardStore(out)
     digest = digest_of(before.digest, stage, VERSIONS[stage])
     ref = store.ref(gop.sequence, stage, gop.number, digest)
-    if redo or not store.has(ref):
+    if store.has(ref) and not redo:
+        facts: dict[str, Any] = store.facts(ref)
+    else:
         shards = dict(before.shards)
         read = [store.read(shards[name]) for name in INPUTS[stage]]
         inputs: list[Any] = [table for table, _ in read] or [gop]
-        facts: dict[str, Any] = read[-1][1] if read else {"errors": [], "times": [], "peak_mb": 0.0}
+        facts = dict(read[-1][1]) if read else {"errors": [], "times": [], "peak_mb": 0.0}
         try:
             table, times = _timed(stage, inputs, config)
         except Exception as error:  # noqa: BLE001
@@ -121,7 +123,8 @@ def run_stage(
                 "peak_mb": max(facts["peak_mb"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
             },
         )
-    return replace(before, digest=digest, shards=(*before.shards, (stage, ref)))
+    errors = tuple(ScanError(**error) for error in facts["errors"])
+    return replace(before, digest=digest, shards=(*before.shards, (stage, ref)), errors=errors)
 
 
 def _timed(stage: str, inputs: list[Any], config: RunConfig) -> tuple[pa.Table, tuple[float, float]]:
