@@ -56,7 +56,11 @@ class SimulatedScan:
 
 
 def simulate_scans(config: SimulationConfig, sensor: SensorModel) -> Iterator[SimulatedScan]:
-    """Drive down the street and yield its scans one after the other; the same for the same config."""
+    """Drive down the street and yield its scans one after the other.
+
+    The same config gives the same scans on the same machine; another processor may trace a ray along an
+    edge differently.
+    """
     road = _ROADS[config.scene]
     drive = lay(config, -0.44 * road)
     ground, pieces, instances = street.furnish(config, drive.line, road)

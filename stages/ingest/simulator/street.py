@@ -181,5 +181,8 @@ def furnish(config: SimulationConfig, line: CentreLine, road: float) -> tuple[Me
     for st in stretches:
         builder.kerbside(st)
         builder.backdrop(st)
+    for c in crossings:
+        for left in (48.0, -54.0):  # the side streets end in trees too
+            builder.put(plants.thicket(36.0, float(rng.uniform(7, 12)), 6.0, rng), c - 18.0, left)
     pieces = sorted(builder.pieces, key=lambda p: p.s)
     return ground(line, stretches, road, crossings), pieces, builder.instances

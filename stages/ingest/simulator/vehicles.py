@@ -16,7 +16,8 @@ PAINT, GLASS, TYRE, LAMP, SIGN = (NAMES[n] for n in ("paint", "glass", "tyre", "
 METAL, TARPAULIN = NAMES["metal"], NAMES["tarpaulin"]
 CAR, BICYCLE, BUS, MOTORCYCLE, TRUCK, OTHER_VEHICLE = 10, 11, 13, 15, 18, 20
 
-# Side profiles (x, z) of half metres-and-a-bit cars: lower body, then cabin, both front to rear.
+# Length, width, height in metres; then the side profiles of the lower body and of the cabin, front to
+# rear: x in half lengths, z in metres.
 _SHAPES: dict[str, tuple[float, float, float, list[tuple[float, float]], list[tuple[float, float]]]] = {
     "hatchback": (4.0, 1.72, 1.48, [(1, 0.45), (0.96, 0.62), (0.45, 0.88), (-0.96, 0.92), (-1, 0.45)],
                   [(0.45, 0.88), (0.06, 1.40), (-0.6, 1.44), (-0.95, 0.92)]),
