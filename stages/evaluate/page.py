@@ -8,8 +8,8 @@ from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
+from salpcc.stages.evaluate.drawing import Plot
 from salpcc.stages.evaluate.pictures import Picture
-from salpcc.stages.evaluate.plots import Plot
 from salpcc.stages.evaluate.tables import Table
 
 

@@ -1,4 +1,4 @@
-"""Baselines: the codecs that this project is compared with, one contract (see ``contract.py``)."""
+"""Baselines: the codecs that this project is compared with, and itself, under one contract (``contract.py``)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from salpcc.stages.evaluate.baselines.draco import DRACO, DRACO_SEQUENTIAL
 from salpcc.stages.evaluate.baselines.generic import BROTLI, BZIP2, XZ, ZSTD
 from salpcc.stages.evaluate.baselines.laszip import LASZIP
 from salpcc.stages.evaluate.baselines.octree import OCTREE
+from salpcc.stages.evaluate.baselines.ours import SALPCC
 from salpcc.stages.evaluate.baselines.png import PNG
 from salpcc.stages.evaluate.baselines.ppmd import PPMD
 
 BASELINES: Mapping[str, Baseline] = {
+    "salpcc": SALPCC,
     "draco": DRACO,
     "draco_sequential": DRACO_SEQUENTIAL,
     "laszip": LASZIP,

@@ -62,10 +62,11 @@ def decode_group(payloads: Iterable[bytes]) -> Iterator[Scan]:
     return (sweep_to_scan(sweep, sensor) for sweep in decode_gop(payloads, sensor))
 
 
-def _encode(points: Points, max_error: float, effort: Effort) -> bytes:
+def encode(points: Points, max_error: float) -> bytes:
+    """Encode one scan; one byte with the number of columns stands in front."""
     intensity = points[:, 3] if points.shape[1] == 4 else np.zeros(len(points), np.float32)
     scan = Scan("000000", np.ascontiguousarray(points[:, :3]), np.ascontiguousarray(intensity))
-    return bytes([points.shape[1]]) + encode_group([scan], max_error, effort)[0].data
+    return bytes([points.shape[1]]) + encode_group([scan], max_error)[0].data
 
 
 def decode(data: bytes) -> Points:
@@ -74,16 +75,10 @@ def decode(data: bytes) -> Points:
     return np.column_stack([scan.points, scan.intensity])[:, : data[0]].astype(np.float32, copy=False)
 
 
-def _baseline(effort: Effort) -> Baseline:
-    return Baseline(
-        title=f"salpcc, effort {effort}, one scan at a time",
-        packages=(),
-        promise=Promise(bound="distance", order=True, count=True, intensity=True),
-        encode=lambda points, max_error: _encode(points, max_error, effort),
-        decode=decode,
-    )
-
-
-SALPCC = _baseline("default")
-SALPCC_FAST = _baseline("fast")
-SALPCC_MAX = _baseline("max")
+SALPCC = Baseline(
+    title="salpcc, one scan at a time",
+    packages=(),
+    promise=Promise(bound="distance", order=True, count=True, intensity=True),
+    encode=encode,
+    decode=decode,
+)

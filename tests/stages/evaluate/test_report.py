@@ -122,7 +122,7 @@ def test_the_page_stands_alone_and_escapes(out: Path) -> None:
     assert not re.findall(r"(?:src|href)=[\"'](?!data:|#)", page)
     assert not re.findall(r"url\((?!#|data:)", page) and "<script" not in page
     assert "a&lt;b&gt;.bin" in page and "<b>.bin" not in page
-    assert page.count("<svg") == 4 and page.count("data:image/png") == 8
+    assert page.count("<svg") == 5 and page.count("data:image/png") == 8
     assert "30.00 mm" in page
 
 

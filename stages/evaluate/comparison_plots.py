@@ -1,0 +1,113 @@
+"""Rate-distortion curves (after Fig. 9 of the paper) and rate against time, over the measured baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from salpcc.stages.evaluate.baselines import BASELINES
+from salpcc.stages.evaluate.drawing import ACCENT, COLOURS, Plot, drawing, legend
+
+OURS = "salpcc"
+_EQUAL_ERROR = 0.01  # metres; the error at which times are compared
+_MARKERS = "osD^vP*X"
+
+
+class Point(NamedTuple):
+    """One codec at one asked error."""
+
+    asked: float  # metres
+    bpp: float  # geometry
+    d_d: float | None  # square metres
+    encode_ms: float | None
+
+
+Curves = Mapping[str, Sequence[Point]]
+
+
+def comparison_plots(report: Mapping[str, Any]) -> list[Plot]:
+    """Return the plots that the baselines' figures allow; none where no baseline was measured."""
+    curves = _curves(report)
+    lossy = {name: [p for p in points if p.asked > 0] for name, points in curves.items()}
+    lossy = {name: points for name, points in lossy.items() if points}
+    if not lossy:
+        return []
+    plots = [_rate_plot(lossy), _distortion_plot(lossy)]
+    equal = {name: [p for p in points if p.asked == _EQUAL_ERROR] for name, points in lossy.items()}
+    equal = {name: points for name, points in equal.items() if points and points[0].encode_ms}
+    return [*plots, _time_plot(equal)] if equal else plots
+
+
+def _rate_plot(curves: Curves) -> Plot:
+    """Geometry bits per point against the asked error, for the codecs that promise one."""
+    bound = {n: p for n, p in curves.items() if n not in BASELINES or BASELINES[n].promise.bound != "none"}
+    ticks = sorted({1e3 * p.asked for points in bound.values() for p in points})
+    with drawing(3.9) as (axes, svg):
+        for name, style in _styles(bound):
+            axes.plot([1e3 * p.asked for p in bound[name]], [p.bpp for p in bound[name]], label=name, **style)
+        axes.set_xscale("log")
+        axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
+        axes.minorticks_off()
+        axes.set_xlabel("asked error, mm")
+        axes.set_ylabel("geometry, bits per input point")
+        axes.set_ylim(bottom=0)
+        legend(axes)
+    caption = "Lower is better. Codecs that bound no error are left out; octree merges points."
+    return Plot("Rate against the promised error", caption, "".join(svg))
+
+
+def _distortion_plot(curves: Curves) -> Plot:
+    """Geometry bits per point against D_d, as in Fig. 9."""
+    with drawing(3.9) as (axes, svg):
+        for name, style in _styles(curves):
+            points = [p for p in curves[name] if p.d_d]
+            axes.plot([p.bpp for p in points], [p.d_d or 0.0 for p in points], label=name, **style)
+        axes.set_yscale("log")
+        axes.set_xlabel("geometry, bits per input point")
+        axes.set_ylabel("D_d, m²")
+        axes.set_xlim(left=0)
+        legend(axes)
+    caption = "D_d of eqs. (24) and (25), squared distances. Lower and further left is better."
+    return Plot("Distortion against rate", caption, "".join(svg))
+
+
+def _time_plot(curves: Curves) -> Plot:
+    """Geometry bits per point against encoding time, every codec at the same asked error."""
+    with drawing(3.4) as (axes, svg):
+        for name, style in _styles(curves):
+            point = curves[name][0]
+            axes.plot([point.encode_ms or 0.0], [point.bpp], linestyle="none", **style)
+            axes.annotate(
+                name, (point.encode_ms or 0, point.bpp), (7, 4), textcoords="offset points", fontsize=9
+            )
+        axes.set_xscale("log")
+        axes.margins(x=0.18)
+        axes.set_xlabel("encoding, CPU ms a scan")
+        axes.set_ylabel("geometry, bits per input point")
+        axes.set_ylim(bottom=0)
+    caption = f"Everyone at {1e3 * _EQUAL_ERROR:g} mm. Lower and further left is better."
+    return Plot("Rate against time", caption, "".join(svg))
+
+
+def _curves(report: Mapping[str, Any]) -> dict[str, list[Point]]:
+    """Every codec's points, ascending in the asked error."""
+    return {
+        name: [
+            Point(float(asked), f["bpp"]["geometry"], f["d_d"], f["encode_ms_per_scan"])
+            for asked, f in sorted(errors.items(), key=lambda item: float(item[0]))
+            if f["frames"]
+        ]
+        for name, errors in report["baselines"].items()
+    }
+
+
+def _styles(curves: Curves) -> list[tuple[str, dict[str, Any]]]:
+    """Colour and marker of each codec; ours stands out and is drawn last."""
+    styles: list[tuple[str, dict[str, Any]]] = []
+    for i, name in enumerate(n for n in curves if n != OURS):
+        colour, marker = COLOURS[i % len(COLOURS)], _MARKERS[i % len(_MARKERS)]
+        styles.append((name, {"color": colour, "marker": marker, "markersize": 5}))
+    if OURS in curves:
+        ours = {"color": ACCENT, "marker": "o", "markersize": 6, "linewidth": 2.2, "zorder": 5}
+        styles.append((OURS, ours))
+    return styles
