@@ -84,7 +84,7 @@ def assign_lasers(
             if len(votes) == 0:
                 continue
             k = int(np.bincount(votes).argmax())
-            if k > last:
+            if k >= last:
                 laser[where[a:b]] = k
                 last = k
     return laser

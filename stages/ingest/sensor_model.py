@@ -24,7 +24,7 @@ _MAX_LASERS = 256
 _MAX_TICKS = 1 << 16
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SensorModel:
     """A spinning sensor of L lasers.
 
@@ -49,6 +49,9 @@ class SensorModel:
     phi0: NDArray[np.float64]
     d0: NDArray[np.float64]
     shift: NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        return f"SensorModel({self.name!r}, {self.n_lasers} lasers)"
 
     @property
     def n_lasers(self) -> int:

@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 
 from salpcc.stages.ingest.trig import TWO_PI, arctan2
 
-# A fitted scan is off the 1 mm lattice by float32 rounding only (about 0.0005 mm rms); uniform
-# phases, which is what a wrong motion gives, are off by 0.29 mm.
-_LOCKED_MM = 0.01
+# Points of a fitted scan are off the 1 mm lattice by float32 rounding only (about 0.0005 mm); phases of
+# a wrong motion are uniform, 0.29 mm rms, and next to none of them is near 0 on all axes.
+_ON_LATTICE = 1e-5  # metres
+_LOCKED_SHARE = 0.5
 _GROWING_MM = 0.15
 _POINTS_PER_ROUND = 1000
 _POINTS_TO_POLISH = 8000
+_NEAR_FIRST = 0.003  # turns
+_NEAR = 15.0  # metres
 _FIRST_SECTOR = 0.0006  # turns; the displacement there is below 1 mm up to 20 m/s when started right
 _WARM_SECTOR = 0.03  # the motion changes little from one scan to the next
 _START_SPEEDS = tuple(-0.3 * k for k in range(-2, 14))  # metres per turn, forward is negative
@@ -98,21 +101,23 @@ def _fit(
     start: NDArray[np.float64],
     rounds: int,
     by_ulp: bool,
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[NDArray[np.float64], float, float]:
     """Gauss-Newton on the distance to the lattice over the chosen points.
 
     ``by_ulp`` weighs each coordinate by the inverse of its float32 step, which is the noise of a
     published value: only then do the last bits come out right.
 
-    Returns the motion and the rms misfit in mm.
+    Returns the motion, the rms misfit in mm, and the share of points that lie on the lattice.
     """
     m = start.copy()
     misfit = np.inf
+    close = 0
     for _ in range(rounds):
         h = np.zeros((6, 6))
         g = np.zeros(6)
         j = np.zeros((3, 6))
         square = 0.0
+        close = 0
         for i in chosen:
             px = points[i, 0]
             py = points[i, 1]
@@ -136,6 +141,11 @@ def _fit(
             j[2, 3] = s * ay
             j[2, 4] = -s * ax
             e = (px - fx, py - fy, pz - fz)
+            off = max(abs(e[0]), abs(e[1]), abs(e[2]))
+            if off < _ON_LATTICE:
+                close += 1
+            elif by_ulp:
+                continue  # not a point of the lattice at all
             p = (px, py, pz)
             square += e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
             for c in range(3):
@@ -158,7 +168,7 @@ def _fit(
         m = m + change
         if np.abs(change).max() < 1e-12:
             break
-    return m, misfit
+    return m, misfit, close / max(len(chosen), 1)
 
 
 def _grow(
@@ -169,17 +179,20 @@ def _grow(
     Near azimuth 0 the displacement is almost nil, so the nearest lattice point is the right one; each
     fit is good enough to unwrap a sector three times as wide.
     """
+    distance = np.hypot(points[:, 0], points[:, 1])
     motion = start
     while True:
         inside = np.flatnonzero(turns < min(sector, 0.495))
+        if sector < _NEAR_FIRST:  # the yaw rate moves far points most
+            inside = inside[distance[inside] < _NEAR]
         if len(inside) < 12:
             return None
         chosen = inside[:: max(1, len(inside) // _POINTS_PER_ROUND)]
-        motion, misfit = _fit(points, chosen, motion, 6, False)
+        motion, misfit, share = _fit(points, chosen, motion, 6, False)
         if misfit > _GROWING_MM or not np.isfinite(motion).all():
             return None
         if sector >= 0.495:
-            return motion if misfit < _LOCKED_MM else None
+            return motion if share > _LOCKED_SHARE else None
         sector *= 3.0
 
 

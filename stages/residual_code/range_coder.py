@@ -23,6 +23,7 @@ _BOTTOM = 1 << 40
 _MASK = _TOP - 1
 _FAST = 4
 _SLOW = 7
+_SLACK = 8  # zero bytes that a decoder may read past the end
 
 
 def new_bits(contexts: int) -> NDArray[np.uint16]:
@@ -106,9 +107,9 @@ def finish_encoder(state: NDArray[np.int64], out: NDArray[np.uint8]) -> int:
         _shift_low(state, out)
     if state[5] != 0:
         return -1
-    # The decoder reads zeros past the end, so trailing zeros need not be kept.
+    # The decoder reads a few zeros past the end, so that many need not be kept.
     end = state[4]
-    while end > 0 and out[end - 1] == 0:
+    while end > 0 and end > state[4] - _SLACK and out[end - 1] == 0:
         end -= 1
     return end
 
@@ -119,7 +120,7 @@ def _get(state: NDArray[np.int64], data: NDArray[np.uint8]) -> int:
     state[2] = position + 1
     if position < len(data):
         return np.int64(data[position])
-    if position > len(data) + 8:
+    if position >= len(data) + _SLACK:
         state[3] = 1
     return 0
 
