@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 from pydantic import ValidationError
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -20,6 +21,7 @@ from salpcc.schemas.config import UNBOUNDED, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.manifest import Manifest, expand_sequences, load_manifest
 from salpcc.schemas.work import STAGES
+from salpcc.stages.evaluate.baselines import names as baseline_names
 from salpcc.stages.ingest.sources import SOURCES
 
 app = typer.Typer(help="Encode recorded scans to archives and report what it cost.", no_args_is_help=True)
@@ -85,7 +87,7 @@ def sequences(
         gop=gop,
         sensor=sensor,
         frames=parse_frames(frames),
-        baselines=tuple(part for part in baselines.split(",") if part and part != "none"),
+        baselines=baseline_names(baselines),
         device=device,
     )
     request = RunRequest(
@@ -152,23 +154,23 @@ def _show(result: RunResult, out: Path, json_: bool) -> None:
         sys.stdout.write((out / "report" / "report.json").read_text())
         return
     console = Console()
-    table = Table(title=f"bits per input point ({out / 'archives'})")
+    table = Table(title="bits per input point", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
     for column in (
         "sequence",
         "scans",
         "points",
-        "geometry",
-        "intensity",
+        "geom.",
+        "intens.",
         "total",
-        "% of raw",
+        "% raw",
         "max error",
         "fallback",
     ):
-        table.add_column(column, justify="left" if column == "sequence" else "right")
+        table.add_column(column, justify="left" if column == "sequence" else "right", overflow="fold")
     for name, figures in result.report["sequences"].items():
         table.add_row(name, *_cells(figures))
     console.print(table)
-    console.print(f"report: {out / 'report' / 'index.html'}", soft_wrap=True)
+    console.print(f"archives: {out / 'archives'}\nreport: {out / 'report' / 'index.html'}", soft_wrap=True)
 
 
 def _cells(figures: dict[str, object]) -> list[str]:

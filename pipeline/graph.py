@@ -19,7 +19,7 @@ from distributed.scheduler import KilledWorker
 
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.progress import Report
-from salpcc.pipeline.sequence import archive_path, evaluate_gop, finish, finished
+from salpcc.pipeline.sequence import archive_path, baseline_gop, evaluate_gop, finish, finished
 from salpcc.pipeline.store import ShardStore
 from salpcc.pipeline.tasks import GopResult, run_stage, source_digest
 from salpcc.schemas.config import RunConfig
@@ -49,12 +49,13 @@ class GraphOptions:
 
 @dataclass
 class Outcome:
-    """What became of a sequence: the record of its archive, METRICS shards by GOP, further errors."""
+    """What became of a sequence: the record of its archive, METRICS shards by GOP, and so on."""
 
     plan: SequencePlan
     coded: dict[int, GopResult] = field(default_factory=dict)
     record: dict[str, Any] | None = None
     metrics: dict[int, ShardRef] = field(default_factory=dict)
+    baselines: list[ShardRef] = field(default_factory=list)
     errors: list[ScanError] = field(default_factory=list)
 
 
@@ -155,6 +156,11 @@ class Graph:
                 self._submit, "evaluate", name, evaluate_gop, gop, inputs, self._config, self._out, redo
             )
             jobs.append((start, partial(self._measured, outcome, gop)))
+        for baseline in self._config.baselines:
+            for gop in outcome.plan.gops:
+                name = f"{baseline}-{gop.sequence}-{gop.number:05d}"
+                start = partial(self._submit, "baseline", name, baseline_gop, baseline, gop, self._out, redo)
+                jobs.append((start, partial(self._compared, outcome, baseline, gop)))
         return jobs
 
     def _measured(self, outcome: Outcome, gop: GopSource, future: Future[Any]) -> None:
@@ -163,6 +169,13 @@ class Graph:
         if not result.failed:
             outcome.metrics[gop.number] = dict(result.shards)["evaluate"]
         self._report.advance(len(gop.scans), f"{gop.sequence}: measured GOP {gop.number}")
+
+    def _compared(self, outcome: Outcome, baseline: str, gop: GopSource, future: Future[Any]) -> None:
+        result = self._result(future, gop, "evaluate")
+        outcome.errors += result.errors
+        if not result.failed:
+            outcome.baselines.append(dict(result.shards)["baseline"])
+        self._report.advance(0, f"{gop.sequence}: measured {baseline} on GOP {gop.number}")
 
     def _submit(self, what: str, name: str, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         return self._client.submit(function, *arguments, key=f"{what}-{name}-{id(self):x}", pure=False)

@@ -22,7 +22,7 @@ from salpcc.schemas.config import UNBOUNDED, RunConfig
 from salpcc.schemas.files import atomic
 from salpcc.schemas.work import ScanError
 from salpcc.stages.evaluate import record, report
-from salpcc.stages.evaluate.schema import FAILURES, METRICS, TIMES
+from salpcc.stages.evaluate.schema import BASELINES, FAILURES, METRICS, TIMES
 from salpcc.stages.ingest.sources.simulated import Simulated
 
 
@@ -126,6 +126,9 @@ def _gather(
         if outcome.record is not None:
             peak = max(peak, outcome.record["peak_mb"])
             times += [(outcome.plan.sequence, *row) for row in outcome.record["times"]]
+    baselines = [BASELINES.empty_table()]
+    for ref in sorted((ref for outcome in outcomes for ref in outcome.baselines), key=lambda ref: ref.path):
+        baselines.append(store.read(ref)[0].replace_schema_metadata(None).cast(BASELINES))
     columns = list(zip(*times, strict=True)) if times else [()] * len(TIMES)
     run = {
         "command": request.command,
@@ -144,6 +147,7 @@ def _gather(
         request.out,
         run,
         metrics=pa.concat_tables(metrics),
+        baselines=pa.concat_tables(baselines),
         times=pa.table([pa.array(c, f.type) for c, f in zip(columns, TIMES, strict=True)], schema=TIMES),
         failures=pa.table(
             [pa.array(c, f.type) for c, f in zip(failures, FAILURES, strict=True)], schema=FAILURES

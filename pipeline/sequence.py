@@ -14,13 +14,14 @@ from salpcc.pipeline.archive import decode_scans
 from salpcc.pipeline.encode import payloads_of
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.store import ShardStore
-from salpcc.pipeline.tasks import VERSIONS, GopResult, lost
+from salpcc.pipeline.tasks import VERSIONS, GopResult, file_digest, lost
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import GopSource, digest_of
 from salpcc.stages.evaluate import stage as evaluate
+from salpcc.stages.evaluate.baselines.measure import measure_scans
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanPayload
@@ -126,10 +127,37 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
     return result
 
 
-def _originals(gop: GopSource, refs: list[Any]) -> Iterator[Scan | None]:
+def _originals(gop: GopSource, refs: list[ScanRef]) -> Iterator[Scan | None]:
     source = SOURCES[gop.source]
     for ref in refs:
         try:
             yield source.read(ref, with_labels=ref.labels is not None)
         except SourceError:
             yield source.read(ref, with_labels=False)
+
+
+def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
+    """Measure a baseline on the scans of one GOP; the result is a BASELINES shard.
+
+    What the archive was asked for does not matter to a baseline, so its shards serve any run in ``out``.
+    """
+    store = ShardStore(out)
+    scans = [[ref.name, file_digest(ref.path)] for ref in gop.scans]
+    digest = digest_of("baseline", name, VERSIONS["evaluate"], scans)
+    ref = store.ref(gop.sequence, f"baseline-{name}", gop.number, digest)
+    result = GopResult(digest, digest, (("baseline", ref),))
+    if not store.has(ref) or redo:
+        table = measure_scans(name, _readable(gop), gop.sequence)
+        store.write(
+            ref, table, {"stage": "evaluate", "stage_version": VERSIONS["evaluate"], "baseline": name}
+        )
+    return result
+
+
+def _readable(gop: GopSource) -> Iterator[Scan]:
+    """The scans that can be read; ingest has told of the others."""
+    for ref in gop.scans:
+        try:
+            yield SOURCES[gop.source].read(ref, with_labels=False)
+        except SourceError:
+            continue

@@ -70,12 +70,13 @@ def source_digest(gop: GopSource, config: RunConfig) -> GopResult:
     parts: list[Any] = [config.digest, {stage: VERSIONS[stage] for stage in STAGES[:-1]}]
     for ref in gop.scans:
         files = [ref.path, ref.labels] if config.labels == "given" else [ref.path]
-        parts.append([ref.name, ref.number, ref.time, *(_file_digest(file) for file in files)])
+        parts.append([ref.name, ref.number, ref.time, *(file_digest(file) for file in files)])
     digest = digest_of(*parts)
     return GopResult(digest, digest)
 
 
-def _file_digest(path: str | None) -> str:
+def file_digest(path: str | None) -> str:
+    """SHA-256 of a file, or a word for why there is none."""
     if path is None:
         return "absent"
     try:
@@ -119,7 +120,10 @@ def run_stage(
                 "stage_version": VERSIONS[stage],
                 "config": config.digest,
                 "errors": facts["errors"],
-                "times": [*facts["times"], [stage, table.num_rows, *times]],
+                "times": [
+                    *facts["times"],
+                    [stage, table.num_rows if stage == "ingest" else inputs[0].num_rows, *times],
+                ],
                 "peak_mb": max(facts["peak_mb"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
             },
         )

@@ -151,8 +151,8 @@ def _fit(
             for c in range(3):
                 weight = 1.0
                 if by_ulp:
-                    # 1e-3: far below that a value says more than the model's own float64 knows.
-                    weight = 1.0 / max(abs(p[c]), 1e-3) ** 2
+                    # 1e-5: below that the float64 of the model itself is the noise.
+                    weight = 1.0 / max(abs(p[c]), 1e-5) ** 2
                 for a in range(6):
                     wj = weight * j[c, a]
                     if wj != 0.0:
@@ -256,9 +256,18 @@ def solve_motion(
                 break
     if motion is None:
         return None
-    inside = np.flatnonzero(turns < 0.495)
-    chosen = inside[:: max(1, len(inside) // _POINTS_TO_POLISH)]
-    return _fit(exact, chosen, motion, 3, True)[0]
+    return _fit(exact, _sharpest(exact, turns), motion, 3, True)[0]
+
+
+def _sharpest(points: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Pick the points that say most about the motion: far round the turn, one coordinate near 0.
+
+    There float32 is finest. Near half a turn the branch of s is uncertain.
+    """
+    leverage = np.where(turns < 0.499, turns, 0.0)[:, None] / np.maximum(np.abs(points), 1e-4)
+    count = min(_POINTS_TO_POLISH // 3, len(points) - 1)
+    best = [np.argpartition(leverage[:, c], -count)[-count:] for c in range(3)]
+    return np.unique(np.concatenate(best))
 
 
 def untwist(

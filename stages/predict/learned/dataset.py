@@ -10,7 +10,7 @@ from salpcc.stages.predict.learned.features import (
     INPUTS,
     PAD,
     PREDICTORS,
-    SLOTS,
+    WORK,
     align,
     close_ring,
     note_errors,
@@ -27,22 +27,22 @@ def extract(ring_start, tick, level, step, constants, lever, keep, xs, mus, ys):
     for k in range(n_rings):
         longest = max(longest, ring_start[k + 1] - ring_start[k])
     size = longest + 2 * PAD
-    azimuth = np.zeros((3, size))
-    inverse = np.zeros((3, size))
+    azimuth = np.zeros((3, size), np.float32)
+    inverse = np.zeros((3, size), np.float32)
     error = np.zeros((3, size, PREDICTORS), np.float32)
     count = np.zeros(3, np.int64)
-    frame1 = np.zeros(size)
-    frame2 = np.zeros(size)
+    frame1 = np.zeros(size, np.float32)
+    frame2 = np.zeros(size, np.float32)
     index1 = np.zeros(longest, np.int32)
     index2 = np.zeros(longest, np.int32)
-    value1 = np.zeros(longest)
-    value2 = np.zeros(longest)
+    value1 = np.zeros(longest, np.float32)
+    value2 = np.zeros(longest, np.float32)
     error0 = np.zeros(PREDICTORS, np.float32)
-    work = np.zeros((32, SLOTS), np.float32)
+    work = np.zeros(WORK, np.float32)
     x = np.zeros(INPUTS, np.float32)
-    mu = np.zeros(PREDICTORS)
-    sf = step_feature(step)
-    middle = (step - 1) * 0.5
+    mu = np.zeros(PREDICTORS, np.float32)
+    sf = np.float32(step_feature(step))
+    middle = np.float32((step - 1) * 0.5)
     rows = 0
     for k in range(n_rings):
         r0, r1, r2 = k % 3, (k + 2) % 3, (k + 1) % 3
@@ -51,9 +51,9 @@ def extract(ring_start, tick, level, step, constants, lever, keep, xs, mus, ys):
         count[r0] = m
         if m == 0:
             continue
-        q, off = constants[k, 0], constants[k, 1]
+        q, off, turn = constants[k, 0], constants[k, 1], constants[k, 3]
         for i in range(m):
-            azimuth[r0, PAD + i] = tick[lo + i] + constants[k, 3]
+            azimuth[r0, PAD + i] = np.float32(tick[lo + i]) + turn
         has1 = k >= 1 and count[r1] > 0
         has2 = k >= 2 and count[r2] > 0 and has1
         if has1:
@@ -80,8 +80,8 @@ def extract(ring_start, tick, level, step, constants, lever, keep, xs, mus, ys):
                 index2,
                 value2,
             )
-        ratio = height_ratio(constants[:, 2], k)
-        error0[:] = 1.5
+        ratio = np.float32(height_ratio(constants[:, 2], k))
+        error0[:] = np.float32(1.5)
         for i in range(m):
             point_features(
                 i,
@@ -108,7 +108,7 @@ def extract(ring_start, tick, level, step, constants, lever, keep, xs, mus, ys):
                 x,
                 mu,
             )
-            actual = level[lo + i] * step + middle
+            actual = np.float32(level[lo + i] * step) + middle
             if keep[lo + i]:
                 for p in range(INPUTS):
                     xs[rows, p] = x[p]
@@ -117,11 +117,7 @@ def extract(ring_start, tick, level, step, constants, lever, keep, xs, mus, ys):
                     mus[rows, p] = mu[p] - centre
                 ys[rows] = actual - centre
                 rows += 1
-            inverse[r0, PAD + i] = q / max(actual + off, 1.0)
-            note_errors(actual, mu, i, error0, error[r0])
-        close_ring(azimuth[r0], inverse[r0], m)
-        for p in range(PAD):
-            for e in range(PREDICTORS):
-                error[r0, PAD - 1 - p, e] = error[r0, PAD, e]
-                error[r0, PAD + m + p, e] = error[r0, PAD + m - 1, e]
+            inverse[r0, PAD + i] = q / max(actual + off, np.float32(1.0))
+            note_errors(actual, mu, error0, error[r0, PAD + i])
+        close_ring(azimuth[r0], inverse[r0], error[r0], m)
     return rows

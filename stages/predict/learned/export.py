@@ -26,7 +26,7 @@ def quantize_network(state: dict[str, NDArray[np.float64]], layers: int) -> Netw
         b = state[f"{name}.bias"][None] + (state["e.weight"] if k == 0 else 0.0)
         s = _scale(w, b)
         scales.append(s)
-        weights.append(np.rint(w * s).astype(np.float32))
+        weights.append(np.ascontiguousarray(np.rint(w * s), np.float32))
         biases.append(np.rint(b * s * SCALE).astype(np.float32))
     return Network(
         first=weights[0],

@@ -16,51 +16,61 @@ from numba import njit
 from numpy.typing import NDArray
 
 PAD = 8
-PREDICTORS = 11
+PREDICTORS = 14
 LEFT, UPPER, SECOND = 8, 10, 6
 SLOTS = 24
-PAIRS = 2 * PREDICTORS + PREDICTORS  # differences, errors at the left, errors above
-INPUTS = 72
+INPUTS = 84
 SCALE = 128.0  # one unit of a feature, in steps of the integer network
 LIMIT = 1023.0
 
-_TICKS = 4000.0
-_TICKS_PER_RADIAN = 636.6197723675814
-_NEAR, _FAR = 2.0, 1.0 / 125.0  # largest and smallest inverse range of a prediction, 1/m
+WORK = 192  # scratch of point_features, float32
+_U, _UU, _D, _UD, _P, _W, _O, _Q = 0, 24, 48, 72, 96, 120, 144, 168
+
+_TICKS = np.float32(4000.0)
+_TICKS_PER_RADIAN = np.float32(636.6197723675814)
+_NEAR, _FAR = np.float32(2.0), np.float32(1.0 / 125.0)  # bounds of a predicted inverse range, 1/m
+_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_UNIT = np.float32(1.0 / 16.0)  # of a difference, per count
+_SCALE, _LIMIT = np.float32(SCALE), np.float32(LIMIT)
+_NINTH = np.float32(1.0 / 9.0)
+_FAR_SLOT = np.float32(1.0 / 49.0)
+_GAP = np.float32(8.0)
+_EDGE, _SPAN = np.float32(0.06), np.float32(16.0)
+_WIDE, _TIGHT = np.float32(0.03), np.float32(0.004)
+_RIDGE_U, _RIDGE_V = np.float32(0.08), np.float32(0.02)
+_TINY = np.float32(1e-9)
+_NO_ERROR = np.float32(1.5)
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
 
 
 @njit(cache=True, error_model="numpy")
-def squash(x: NDArray[np.float32], n: int) -> None:
+def squash(x: F32, n: int) -> None:
     """Compress x[:n] in place: odd, linear near 0, growing like the fourth root."""
-    one = np.float32(1.0)
     for i in range(n):
-        a = x[i] / np.sqrt(one + abs(x[i]))
-        x[i] = a / np.sqrt(one + abs(a))
+        a = x[i] / np.sqrt(_ONE + abs(x[i]))
+        x[i] = a / np.sqrt(_ONE + abs(a))
 
 
 @njit(cache=True, error_model="numpy")
-def close_ring(azimuth: NDArray[np.float64], inverse: NDArray[np.float64], n: int) -> None:
+def close_ring(azimuth: F32, inverse: F32, error: F32, n: int) -> None:
     """Fill the cyclic margins of a coded ring that stands at ``[PAD, PAD + n)``; n at least 1."""
     for p in range(PAD):
-        left = n - 1 - p % n
-        right = p % n
-        azimuth[PAD - 1 - p] = azimuth[PAD + left] - _TICKS * (1 + p // n)
-        inverse[PAD - 1 - p] = inverse[PAD + left]
-        azimuth[PAD + n + p] = azimuth[PAD + right] + _TICKS * (1 + p // n)
-        inverse[PAD + n + p] = inverse[PAD + right]
+        left = PAD + n - 1 - p % n
+        right = PAD + p % n
+        turns = np.float32(1 + p // n) * _TICKS
+        azimuth[PAD - 1 - p] = azimuth[left] - turns
+        inverse[PAD - 1 - p] = inverse[left]
+        azimuth[PAD + n + p] = azimuth[right] + turns
+        inverse[PAD + n + p] = inverse[right]
+        error[PAD - 1 - p] = error[PAD]
+        error[PAD + n + p] = error[PAD + n - 1]
 
 
 @njit(cache=True, error_model="numpy")
 def align(
-    azimuth: NDArray[np.float64],
-    inverse: NDArray[np.float64],
-    n: int,
-    lever: float,
-    start: NDArray[np.float64],
-    m: int,
-    frame: NDArray[np.float64],
-    index: NDArray[np.int32],
-    value: NDArray[np.float64],
+    azimuth: F32, inverse: F32, n: int, lever: np.float32, current: F32, m: int, frame: F32, index: I32, value: F32
 ) -> None:
     """Move a coded ring into the frame of the current one and interpolate it at the current azimuths.
 
@@ -68,120 +78,125 @@ def align(
     margins included), and for each of the ``m`` current azimuths ``index`` (the last return of the
     ring not after it) and ``value`` (inverse range there: linear, or the nearer one across an edge).
     """
+    shift = lever * _TICKS_PER_RADIAN
     for i in range(n + 2 * PAD):
-        frame[i] = azimuth[i] + lever * inverse[i] * _TICKS_PER_RADIAN
+        frame[i] = azimuth[i] + shift * inverse[i]
     j = PAD - 1
     last = PAD + n - 1
     for i in range(m):
-        a = start[PAD + i]
+        a = current[PAD + i]
         while j < last and frame[j + 1] <= a:
             j += 1
         index[i] = j
         span = frame[j + 1] - frame[j]
-        t = (a - frame[j]) / span if span > 0.0 else 0.0
-        t = min(max(t, 0.0), 1.0)
+        t = (a - frame[j]) / span if span > _ZERO else _ZERO
+        t = min(max(t, _ZERO), _ONE)
         difference = inverse[j + 1] - inverse[j]
-        if abs(difference) > 0.06 * inverse[j] or span > 16.0:
-            value[i] = inverse[j + 1] if t > 0.5 else inverse[j]
+        if abs(difference) > _EDGE * inverse[j] or span > _SPAN:
+            value[i] = inverse[j + 1] if t > _HALF else inverse[j]
         else:
             value[i] = inverse[j] + t * difference
 
 
 @njit(cache=True, error_model="numpy")
-def _plane(
-    weight: NDArray[np.float32],
-    dw: NDArray[np.float32],
-    u: NDArray[np.float32],
-    v: NDArray[np.float32],
-    lanes: NDArray[np.float32],
-    fit: NDArray[np.float32],
-) -> None:
-    """Fit ``dw = a + b u + c v`` by weighted least squares with a little ridge; fills fit = (a, b, c)."""
-    for k in range(8):
-        s0 = weight[k]
-        s1 = s0 * u[k]
-        s2 = s0 * v[k]
-        lanes[0, k] = s0
-        lanes[1, k] = s1
-        lanes[2, k] = s2
-        lanes[3, k] = s1 * u[k]
-        lanes[4, k] = s1 * v[k]
-        lanes[5, k] = s2 * v[k]
-        lanes[6, k] = s0 * dw[k]
-        lanes[7, k] = s1 * dw[k]
-        lanes[8, k] = s2 * dw[k]
-    for b in range(8, SLOTS, 8):
-        for k in range(8):
-            s0 = weight[b + k]
-            s1 = s0 * u[b + k]
-            s2 = s0 * v[b + k]
-            lanes[0, k] += s0
-            lanes[1, k] += s1
-            lanes[2, k] += s2
-            lanes[3, k] += s1 * u[b + k]
-            lanes[4, k] += s1 * v[b + k]
-            lanes[5, k] += s2 * v[b + k]
-            lanes[6, k] += s0 * dw[b + k]
-            lanes[7, k] += s1 * dw[b + k]
-            lanes[8, k] += s2 * dw[b + k]
-    for r in range(9):
-        a0 = lanes[r, 0] + lanes[r, 4]
-        a1 = lanes[r, 1] + lanes[r, 5]
-        a2 = lanes[r, 2] + lanes[r, 6]
-        a3 = lanes[r, 3] + lanes[r, 7]
-        lanes[r, 0] = (a0 + a2) + (a1 + a3)
-    n = np.float64(lanes[0, 0]) + 1e-9
-    mu = lanes[1, 0] / n
-    mv = lanes[2, 0] / n
-    md = lanes[6, 0] / n
-    ridge = 0.02
-    uu = lanes[3, 0] - n * mu * mu + ridge * 4.0
-    uv = lanes[4, 0] - n * mu * mv
-    vv = lanes[5, 0] - n * mv * mv + ridge
-    ud = lanes[7, 0] - n * mu * md
-    vd = lanes[8, 0] - n * mv * md
-    det = uu * vv - uv * uv
-    if det < 1e-9:
-        det = 1e-9
-    slope_u = (ud * vv - vd * uv) / det
-    slope_v = (vd * uu - ud * uv) / det
-    fit[0] = md - slope_u * mu - slope_v * mv
-    fit[1] = slope_u
-    fit[2] = slope_v
+def _sums(work: F32, start: int, n: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Weighted sums of 1, U, U^2, D, U D over the slots of one ring."""
+    s0, s1, s2, s3, s4 = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    for k in range(start, start + n):
+        weight = work[_W + k]
+        s0 += weight
+        s1 += weight * work[_U + k]
+        s2 += weight * work[_UU + k]
+        s3 += weight * work[_D + k]
+        s4 += weight * work[_UD + k]
+    return s0, s1, s2, s3, s4
+
+
+@njit(cache=True, error_model="numpy")
+def _plane(work: F32, v: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Fit ``D = a + b U + c V`` by least squares with weights W and a little ridge.
+
+    V is 0 on the current ring, 1 on the one above, ``v`` on the next. Returns a, b, c, sum of weights.
+    """
+    l0, l1, l2, l3, l4 = _sums(work, 0, LEFT)
+    m0, m1, m2, m3, m4 = _sums(work, LEFT, UPPER)
+    n0, n1, n2, n3, n4 = _sums(work, LEFT + UPPER, SECOND)
+    n0v = n0 * v
+    s = (l0 + m0) + n0
+    su = (l1 + m1) + n1
+    sv = m0 + n0v
+    sd = (l3 + m3) + n3
+    per = _ONE / (s + _TINY)
+    mu = su * per
+    mv = sv * per
+    md = sd * per
+    uu = (l2 + m2) + n2 - su * mu + _RIDGE_U
+    uv = m1 + n1 * v - su * mv
+    vv = m0 + n0v * v - sv * mv + _RIDGE_V
+    ud = (l4 + m4) + n4 - su * md
+    vd = m3 + n3 * v - sv * md
+    det = _ONE / max(uu * vv - uv * uv, _TINY)
+    slope_u = (ud * vv - vd * uv) * det
+    slope_v = (vd * uu - ud * uv) * det
+    return md - slope_u * mu - slope_v * mv, slope_u, slope_v, s
+
+
+@njit(cache=True, error_model="numpy")
+def _weigh(work: F32, source: int, centre: np.float32, tolerance: np.float32) -> None:
+    """Weights of the slots: position weight over (1 + q^2)^2, q = (source - centre) / tolerance."""
+    for k in range(SLOTS):
+        q = (work[source + k] - centre) * tolerance
+        q = _ONE + q * q
+        work[_W + k] = work[_P + k] / (q * q)
+
+
+@njit(cache=True, error_model="numpy")
+def _refit(
+    work: F32, v: np.float32, a: np.float32, b: np.float32, c: np.float32, tolerance: np.float32
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Fit the plane again with weights from the distances to the plane (a, b, c)."""
+    for k in range(LEFT):
+        work[_Q + k] = work[_D + k] - (a + b * work[_U + k])
+    for k in range(LEFT, LEFT + UPPER):
+        work[_Q + k] = work[_D + k] - ((a + c) + b * work[_U + k])
+    for k in range(LEFT + UPPER, SLOTS):
+        work[_Q + k] = work[_D + k] - ((a + c * v) + b * work[_U + k])
+    _weigh(work, _Q, _ZERO, tolerance)
+    return _plane(work, v)
 
 
 @njit(cache=True, error_model="numpy")
 def point_features(
     i: int,
     m: int,
-    azimuth: NDArray[np.float64],
-    inverse: NDArray[np.float64],
-    frame1: NDArray[np.float64],
-    inverse1: NDArray[np.float64],
-    error1: NDArray[np.float32],
-    index1: NDArray[np.int32],
-    value1: NDArray[np.float64],
+    azimuth: F32,
+    inverse: F32,
+    frame1: F32,
+    inverse1: F32,
+    error1: F32,
+    index1: I32,
+    value1: F32,
     has1: bool,
-    frame2: NDArray[np.float64],
-    inverse2: NDArray[np.float64],
-    index2: NDArray[np.int32],
-    value2: NDArray[np.float64],
+    frame2: F32,
+    inverse2: F32,
+    index2: I32,
+    value2: F32,
     has2: bool,
-    height2: float,
-    quotient: float,
-    offset: float,
-    step_feature: float,
-    error0: NDArray[np.float32],
-    work: NDArray[np.float32],
-    x: NDArray[np.float32],
-    mu: NDArray[np.float64],
+    height2: np.float32,
+    quotient: np.float32,
+    offset: np.float32,
+    step: np.float32,
+    error0: F32,
+    work: F32,
+    x: F32,
+    mu: F32,
 ) -> None:
     """Fill the features ``x`` (INPUTS,) and the predicted range counts ``mu`` (PREDICTORS,) of return i.
 
     Rings stand at ``[PAD, PAD + n)``; 1 is the ring above, 2 the one above that. ``height2`` is the
     second ring's elevation step in units of the first's. ``quotient / w - offset`` are counts.
     ``error0`` are the running squashed errors of the predictors to the left, ``error1`` those at each
-    return above. ``work`` is scratch, (32, SLOTS).
+    return above. ``work`` is scratch, (WORK,).
     """
     c = PAD + i
     a = azimuth[c]
@@ -191,161 +206,164 @@ def point_features(
     elif has1:
         w1 = value1[i]
     else:
-        w1 = 0.05
+        w1 = np.float32(0.05)
     up = value1[i] if has1 else w1
     second = value2[i] if has2 else up
-
-    u, v, dw, position = work[0], work[1], work[2], work[3]
-    weight, own, residual = work[4], work[5], work[6]
-    lanes = work[8:17]
-    fit = work[17]
-    half = np.float32(0.5)
-    one = np.float32(1.0)
-    for k in range(SLOTS):
-        position[k] = 0.0
-        u[k] = 0.0
-        v[k] = 0.0
-        dw[k] = 0.0
-        own[k] = 0.0
-    for k in range(n_left):
-        u[k] = (azimuth[c - 1 - k] - a) * 0.5
-        dw[k] = inverse[c - 1 - k] - w1
-        own[k] = dw[k]
-        position[k] = one
-    shift1 = np.float32(up - w1)
-    shift2 = np.float32(second - w1)
+    shift1 = up - w1
+    shift2 = second - w1
+    az = azimuth[c - LEFT : c]
+    w = inverse[c - LEFT : c]
+    for k in range(LEFT):
+        u = (az[k] - a) * _HALF
+        work[_U + k] = u
+        work[_D + k] = w[k] - w1
+        work[_O + k] = w[k] - w1
+        work[_P + k] = _ONE / (_ONE + u * u * _NINTH)
+    for k in range(LEFT - n_left):
+        work[_D + k] = _ZERO
+        work[_O + k] = _ZERO
+        work[_P + k] = _ZERO
+    j1 = index1[i]
     if has1:
-        j = index1[i] - UPPER // 2 + 1
+        f1 = frame1[j1 - UPPER // 2 + 1 : j1 + UPPER // 2 + 1]
+        w = inverse1[j1 - UPPER // 2 + 1 : j1 + UPPER // 2 + 1]
         for k in range(UPPER):
-            u[LEFT + k] = (frame1[j + k] - a) * 0.5
-            v[LEFT + k] = one
-            dw[LEFT + k] = inverse1[j + k] - w1
-            own[LEFT + k] = inverse1[j + k] - up
-            position[LEFT + k] = one
+            u = (f1[k] - a) * _HALF
+            d = w[k] - w1
+            work[_U + LEFT + k] = u
+            work[_D + LEFT + k] = d
+            work[_O + LEFT + k] = d - shift1
+            work[_P + LEFT + k] = _ONE / (_ONE + u * u * _NINTH)
+    else:
+        for k in range(UPPER):
+            work[_U + LEFT + k] = _ZERO
+            work[_D + LEFT + k] = _ZERO
+            work[_O + LEFT + k] = _ZERO
+            work[_P + LEFT + k] = _ZERO
+    j2 = index2[i]
     if has2:
-        j = index2[i] - SECOND // 2 + 1
+        f2 = frame2[j2 - SECOND // 2 + 1 : j2 + SECOND // 2 + 1]
+        w = inverse2[j2 - SECOND // 2 + 1 : j2 + SECOND // 2 + 1]
         for k in range(SECOND):
-            b = LEFT + UPPER + k
-            u[b] = (frame2[j + k] - a) * 0.5
-            v[b] = height2
-            dw[b] = inverse2[j + k] - w1
-            own[b] = inverse2[j + k] - second
-            position[b] = half
-    ninth = np.float32(1.0 / 9.0)
-    for k in range(SLOTS):
-        position[k] = position[k] / (one + u[k] * u[k] * ninth)
+            u = (f2[k] - a) * _HALF
+            d = w[k] - w1
+            work[_U + LEFT + UPPER + k] = u
+            work[_D + LEFT + UPPER + k] = d
+            work[_O + LEFT + UPPER + k] = d - shift2
+            work[_P + LEFT + UPPER + k] = _HALF / (_ONE + u * u * _NINTH)
+    else:
+        for k in range(SECOND):
+            work[_U + LEFT + UPPER + k] = _ZERO
+            work[_D + LEFT + UPPER + k] = _ZERO
+            work[_O + LEFT + UPPER + k] = _ZERO
+            work[_P + LEFT + UPPER + k] = _ZERO
 
-    tolerance = np.float32(1.0 / (0.03 * w1 + 0.03 * w1 * w1))
     for k in range(SLOTS):
-        q = dw[k] * tolerance
-        q = one + q * q
-        weight[k] = position[k] / (q * q)
-    _plane(weight, dw, u, v, lanes, fit)
-    plane_left = w1 + fit[0]
+        work[_UU + k] = work[_U + k] * work[_U + k]
+        work[_UD + k] = work[_U + k] * work[_D + k]
+    noise = _WIDE * w1 * w1
+    tolerance = _ONE / (_WIDE * w1 + noise)
+    tight = _ONE / (_TIGHT * w1 + noise)
+    _weigh(work, _D, shift1, tolerance)
+    plane_up, b, g, _ = _plane(work, height2)
+    plane_up2, _, _, sum_up = _refit(work, height2, plane_up, b, g, tight)
+    _weigh(work, _O, _ZERO, tolerance)
+    plane_own, b, g, _ = _plane(work, height2)
+    plane_own2, _, _, sum_own = _refit(work, height2, plane_own, b, g, tight)
+    _weigh(work, _D, _ZERO, tolerance)
+    plane_left, b, g, _ = _plane(work, height2)
+    plane_tight, slope_u, slope_v, sum_tight = _refit(work, height2, plane_left, b, g, tight)
     for k in range(SLOTS):
-        q = (dw[k] - shift1) * tolerance
-        q = one + q * q
-        weight[k] = position[k] / (q * q)
-    _plane(weight, dw, u, v, lanes, fit)
-    plane_up = w1 + fit[0]
-    for k in range(SLOTS):
-        q = own[k] * tolerance
-        q = one + q * q
-        weight[k] = position[k] / (q * q)
-    _plane(weight, dw, u, v, lanes, fit)
-    plane_own = w1 + fit[0]
-    tight = np.float32(1.0 / (0.004 * w1 + 0.03 * w1 * w1))
-    for k in range(SLOTS):
-        q = (dw[k] - (fit[0] + fit[1] * u[k] + fit[2] * v[k])) * tight
-        q = one + q * q
-        weight[k] = position[k] / (q * q)
-    _plane(weight, dw, u, v, lanes, fit)
-    base = w1 + np.float64(fit[0])
-    base = min(max(base, _FAR), _NEAR)
+        q = work[_Q + k] * tight
+        q = _ONE + q * q
+        work[_W + k] = (_ONE / (_ONE + work[_UU + k] * _FAR_SLOT) if work[_P + k] > _ZERO else _ZERO) / (q * q)
+    plane_wide, _, _, _ = _plane(work, height2)
+    base = min(max(w1 + plane_tight, _FAR), _NEAR)
 
     mu[0] = w1
     mu[1] = w1
     mu[2] = w1
-    mu[6] = up
-    if n_left >= 2:
-        span = azimuth[c - 1] - azimuth[c - 2]
-        mu[1] = w1 + (w1 - inverse[c - 2]) * ((a - azimuth[c - 1]) / max(span, 1.0))
-    if n_left >= 4:
-        mu[2] = (2.0 * w1 + inverse[c - 2] - inverse[c - 4]) * 0.5
     mu[3] = up
     mu[4] = w1
+    mu[6] = up
+    if n_left >= 2:
+        span = max(az[LEFT - 1] - az[LEFT - 2], _ONE)
+        mu[1] = w1 - work[_D + LEFT - 2] * ((a - az[LEFT - 1]) / span)
+    mu[5] = up + (up - second) / max(height2 - _ONE, np.float32(0.25))
+    if n_left >= 4:
+        mu[2] = w1 + (work[_D + LEFT - 2] - work[_D + LEFT - 4]) * _HALF
     if n_left >= 1 and has1:
-        mu[4] = w1 + up - value1[i - 1]
-    mu[5] = up + (up - second) / max(height2 - 1.0, 0.25)
+        mu[4] = w1 + (up - value1[i - 1])
     if n_left >= 4 and has1:
-        g = (inverse[c - 1] - value1[i - 1]) + (inverse[c - 2] - value1[i - 2])
-        g = g + (inverse[c - 3] - value1[i - 3]) + (inverse[c - 4] - value1[i - 4])
-        mu[6] = up + 0.25 * g
-    mu[7] = plane_left
-    mu[8] = plane_up
-    mu[9] = plane_own
+        g = (work[_D + LEFT - 2] + work[_D + LEFT - 3]) + work[_D + LEFT - 4]
+        v = (value1[i - 1] + value1[i - 2]) + (value1[i - 3] + value1[i - 4])
+        mu[6] = w1 + (up + (g - v) * np.float32(0.25))
+    mu[7] = w1 + plane_left
+    mu[8] = w1 + plane_up
+    mu[9] = w1 + plane_own
+    mu[10] = w1 + plane_own2
+    mu[11] = w1 + plane_up2
+    mu[12] = w1 + plane_wide
     for p in range(PREDICTORS - 1):
         mu[p] = quotient / min(max(mu[p], _FAR), _NEAR) - offset
     centre = quotient / base - offset
     mu[PREDICTORS - 1] = centre
 
-    # Differences in units of 16 counts; d(counts) = -quotient / base**2 dw near the base.
-    unit = np.float32(1.0 / 16.0)
     for p in range(PREDICTORS - 1):
-        x[p] = np.float32(mu[p] - centre) * unit
-    per_w = np.float32(quotient / (base * base)) * unit
+        x[p] = (mu[p] - centre) * _UNIT
+    per_w = quotient / (base * base) * _UNIT  # counts fall by quotient / base^2 per unit of w
     o = PREDICTORS - 1
-    for k in range(SLOTS):
-        x[o + k] = (dw[k] - (fit[0] + fit[1] * u[k] + fit[2] * v[k])) * per_w
-        if position[k] == 0.0:
-            x[o + k] = 0.0
+    for k in range(LEFT):
+        r = (work[_D + k] - (plane_tight + slope_u * work[_U + k])) * per_w
+        x[o + k] = r if work[_P + k] > _ZERO else _ZERO
+    for k in range(LEFT, LEFT + UPPER):
+        r = (work[_D + k] - ((plane_tight + slope_v) + slope_u * work[_U + k])) * per_w
+        x[o + k] = r if work[_P + k] > _ZERO else _ZERO
+    for k in range(LEFT + UPPER, SLOTS):
+        r = (work[_D + k] - ((plane_tight + slope_v * height2) + slope_u * work[_U + k])) * per_w
+        x[o + k] = r if work[_P + k] > _ZERO else _ZERO
     o += SLOTS
-    x[o] = fit[1] * per_w
-    x[o + 1] = fit[2] * per_w
-    gap = np.float32(8.0)
-    x[o + 2] = (a - azimuth[c - 1]) * half - one if n_left > 0 else gap
-    x[o + 3] = (azimuth[c + 1] - a) * half - one if i + 1 < m else np.float32(0.0)
-    x[o + 4] = (a - frame1[index1[i]]) * half if has1 else gap
-    x[o + 5] = (frame1[index1[i] + 1] - a) * half if has1 else gap
-    x[o + 6] = (frame2[index2[i] + 1] - frame2[index2[i]]) * half - one if has2 else gap
+    x[o] = slope_u * per_w
+    x[o + 1] = slope_v * per_w
+    x[o + 2] = (a - az[LEFT - 1]) * _HALF - _ONE if n_left > 0 else _GAP
+    x[o + 3] = (azimuth[c + 1] - a) * _HALF - _ONE if i + 1 < m else _ZERO
+    x[o + 4] = (a - frame1[j1]) * _HALF if has1 else _GAP
+    x[o + 5] = (frame1[j1 + 1] - a) * _HALF if has1 else _GAP
+    x[o + 6] = (frame2[j2 + 1] - frame2[j2]) * _HALF - _ONE if has2 else _GAP
     x[o + 7] = shift1 * per_w
-    x[o + 8] = (azimuth[c + 2] - azimuth[c + 1]) * half - one if i + 2 < m else np.float32(0.0)
-    squash(x, o + 9)
-    o += 9
+    x[o + 8] = (azimuth[c + 2] - azimuth[c + 1]) * _HALF - _ONE if i + 2 < m else _ZERO
+    x[o + 9] = shift2 * per_w
+    squash(x, o + 10)
+    o += 10
     for p in range(PREDICTORS):
         x[o + p] = error0[p]
     o += PREDICTORS
     if has1:
-        j = index1[i]
         for p in range(PREDICTORS):
-            x[o + p] = half * (error1[j, p] + error1[j + 1, p])
+            x[o + p] = _HALF * (error1[j1, p] + error1[j1 + 1, p])
     else:
         for p in range(PREDICTORS):
-            x[o + p] = one + half
+            x[o + p] = _NO_ERROR
     o += PREDICTORS
     x[o] = np.float32(n_left) * np.float32(0.125)
-    x[o + 1] = one if has1 else np.float32(0.0)
-    x[o + 2] = one if has2 else np.float32(0.0)
-    x[o + 3] = np.float32(np.sqrt(1.0 / base)) * half
-    x[o + 4] = np.float32(np.sqrt(base)) * np.float32(4.0)
-    x[o + 5] = step_feature
-    x[o + 6] = lanes[0, 0] * np.float32(0.25)
-    limit = np.float32(LIMIT)
-    scale = np.float32(SCALE)
+    x[o + 1] = _ONE if has1 else _ZERO
+    x[o + 2] = _ONE if has2 else _ZERO
+    x[o + 3] = np.sqrt(_ONE / base) * _HALF
+    x[o + 4] = np.sqrt(base) * np.float32(4.0)
+    x[o + 5] = step
+    quarter = np.float32(0.25)
+    x[o + 6] = sum_tight * quarter
+    x[o + 7] = sum_own * quarter
+    x[o + 8] = sum_up * quarter
     for k in range(INPUTS):
-        x[k] = min(max(np.floor(x[k] * scale + half), -limit), limit)
+        x[k] = min(max(np.floor(x[k] * _SCALE + _HALF), -_LIMIT), _LIMIT)
 
 
 @njit(cache=True, error_model="numpy")
-def note_errors(
-    actual: float, mu: NDArray[np.float64], i: int, error0: NDArray[np.float32], error: NDArray[np.float32]
-) -> None:
+def note_errors(actual: np.float32, mu: F32, error0: F32, row: F32) -> None:
     """Record how far each predictor was from ``actual`` counts, for the features of later returns."""
-    unit = 1.0 / 16.0
-    row = error[PAD + i]
     for p in range(PREDICTORS):
-        row[p] = abs(mu[p] - actual) * unit
+        row[p] = abs(mu[p] - actual) * _UNIT
     squash(row, PREDICTORS)
-    half = np.float32(0.5)
     for p in range(PREDICTORS):
-        error0[p] = half * (error0[p] + row[p])
+        error0[p] = _HALF * (error0[p] + row[p])

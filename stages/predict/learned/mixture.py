@@ -14,7 +14,7 @@ F64 = NDArray[np.float64]
 
 BITS = 24
 TOTAL = 1 << BITS
-COMPONENTS = 12
+COMPONENTS = 15
 _PER_UNIT = 32.0
 _CUT = 9.0  # components whose logit is this far below the largest are dropped
 _LOG_SCALE_SHIFT, _LOG_SCALE_LOW, _LOG_SCALE_HIGH = 2.0, -2.0, 9.0

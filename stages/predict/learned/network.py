@@ -43,7 +43,7 @@ class Network:
 def load_network(path: Path) -> Network:
     """Read weights written by :func:`save_network`; raises SalpccError where they are not exact."""
     with np.load(path) as stored:
-        network = Network(**{name: stored[name].astype(np.float32) for name in Network.__annotations__})
+        network = Network(**{name: np.ascontiguousarray(stored[name], np.float32) for name in Network.__annotations__})
     check(network)
     return network
 

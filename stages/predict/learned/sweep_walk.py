@@ -13,9 +13,9 @@ from salpcc.stages.predict.learned.features import PAD, align
 @njit(cache=True, error_model="numpy")
 def laser_constants(
     theta: NDArray[np.float64], phi0: NDArray[np.float64], d0: NDArray[np.float64]
-) -> NDArray[np.float64]:
+) -> NDArray[np.float32]:
     """Return (L, 4): counts = c0 / w - c1, tangent of the elevation c2, azimuth offset c3 in ticks."""
-    out = np.empty((len(theta), 4))
+    out = np.empty((len(theta), 4), np.float32)
     for k in range(len(theta)):
         s, c = sin_cos(theta[k])
         out[k, 0] = 500.0 / c
@@ -37,7 +37,7 @@ def step_feature(step: int) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def height_ratio(tangent: NDArray[np.float64], k: int) -> float:
+def height_ratio(tangent: NDArray[np.float32], k: int) -> float:
     """Elevation of laser k - 2 above laser k in units of that of laser k - 1."""
     if k < 2:
         return 2.0
