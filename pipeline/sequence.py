@@ -19,7 +19,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.work import GopSource, digest_of
+from salpcc.schemas.work import GopSource, ScanRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
 from salpcc.stages.evaluate.baselines.measure import measure_scans
 from salpcc.stages.ingest.sensor_model import load_sensor

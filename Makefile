@@ -1,0 +1,46 @@
+# make demo   the main job on two small simulated sequences; needs Python 3.11+, make and a package index
+# make test   ruff, mypy, pytest, in an environment of its own
+# make lock   pin the newest versions that pyproject.toml allows
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+SOURCES := $(shell find schemas stages pipeline -type f -not -path '*/__pycache__/*') pyproject.toml
+OUT ?= out/demo
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: demo test lock clean
+
+demo: $(VENV)/.product
+	$(BIN)/salpcc-pipeline run sequences 00,01 --source simulated --frames 0:8 --keep-movable --out $(OUT)
+	$(BIN)/salpcc-pipeline verify $(OUT)/archives/00.mcap --against $(OUT)/simulated
+	$(BIN)/salpcc-pipeline verify $(OUT)/archives/01.mcap --against $(OUT)/simulated
+	@echo "The report: $(CURDIR)/$(OUT)/report/index.html"
+
+test: $(VENV)/.product
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy -p salpcc.schemas -p salpcc.stages -p salpcc.pipeline
+	$(BIN)/pytest -q
+
+# The lock file is installed first, so that pip has nothing left to choose.
+$(VENV)/.locked: requirements.lock
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install -q -r requirements.lock
+	@touch $@
+
+# An ordinary install, not an editable one: what is tested is what users get.
+$(VENV)/.product: $(VENV)/.locked $(SOURCES)
+	$(BIN)/pip install -q --no-deps --force-reinstall .
+	@touch $@
+
+lock:
+	rm -rf build/lock && $(PYTHON) -m venv build/lock
+	build/lock/bin/pip install -q ".[dev,baselines]"
+	build/lock/bin/python scripts/lock.py build/lock > requirements.lock.new
+	mv requirements.lock.new requirements.lock
+
+clean:
+	rm -rf $(VENV) build out *.egg-info
