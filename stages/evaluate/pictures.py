@@ -35,15 +35,23 @@ def scan_pictures(
     points, error = points[finite], error[finite]
     if not len(points):
         return []
+    height, of_height = _scale(points[:, 2], -2.5, 3.0), "height, -2.5 m (dark) to 3 m (bright)"
     if classes is None:
-        first, what = _scale(points[:, 2], -2.5, 3.0), "height, -2.5 m (dark) to 3 m (bright)"
+        first, what = height, of_height
     else:
         first = np.array([c.colour for c in CLASSES], np.uint8)[classes[finite]]
         present = [CLASSES[i].name for i in np.unique(classes[finite])]
         what = "class: " + ", ".join(present)
     worst = float(np.max(error))
-    second = _scale(error, 0.0, worst or 1.0)
-    how = f"error, 0 (dark) to {1e3 * worst:.2f} mm (bright)" if worst else "error: 0 at every point"
+    second = _scale(error, 0.0, worst) if worst else height
+    how = f"error, 0 (dark) to {1e3 * worst:.2f} mm (bright)" if worst else of_height + "; every error is 0"
+    if not worst and classes is None:  # one colouring says it all
+        return [
+            Picture(
+                f"{name}, range image", f"Decoded, coloured by {how}.", _uri(range_image(points, height))
+            ),
+            Picture(f"{name}, from above", f"Coloured by {how}.", _uri(birds_eye(points, height))),
+        ]
     return [
         Picture(f"{name}, range image", f"Decoded, coloured by {what}.", _uri(range_image(points, first))),
         Picture(f"{name}, range image", f"Decoded, coloured by {how}.", _uri(range_image(points, second))),

@@ -23,6 +23,8 @@ class Column:
             return "-"
         if isinstance(value, bool):
             return "yes" if value else "no"
+        if value == 0 and self.form.endswith("e"):
+            return "0"
         return format(value, self.form) if self.form and not isinstance(value, str) else str(value)
 
 

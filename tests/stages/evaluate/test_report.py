@@ -58,7 +58,12 @@ def out(
     coded = [measure(name, street(), "00", error) for name, error in (("xz", 0.0), ("octree", 0.01))]
     record(
         tmp_path,
-        {"command": ["salpcc-pipeline", "run"], "config": {"max_error": 0.05}, "notes": ["a note"]},
+        {
+            "command": ["salpcc-pipeline", "run"],
+            "finished": "2026-11-22T01:30:05+00:00",
+            "config": {"max_error": 0.05},
+            "notes": ["a note"],
+        },
         metrics=pa.concat_tables(tables),
         times=pa.Table.from_pylist(times, schema=TIMES),
         failures=pa.Table.from_pylist(failures, schema=FAILURES),
@@ -123,7 +128,7 @@ def test_the_page_stands_alone_and_escapes(out: Path) -> None:
     assert not re.findall(r"url\((?!#|data:)", page) and "<script" not in page
     assert "a&lt;b&gt;.bin" in page and "<b>.bin" not in page
     assert page.count("<svg") == 5 and page.count("data:image/png") == 8
-    assert "30.00 mm" in page
+    assert "30.00 mm" in page and "2026-11-22 01:30 UTC" in page
 
 
 def test_tables_are_written_as_markdown_and_parquet(out: Path) -> None:
