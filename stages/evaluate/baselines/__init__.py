@@ -8,6 +8,7 @@ from salpcc.schemas.errors import UsageError
 from salpcc.stages.evaluate.baselines.contract import Baseline
 from salpcc.stages.evaluate.baselines.draco import DRACO, DRACO_SEQUENTIAL
 from salpcc.stages.evaluate.baselines.generic import BROTLI, BZIP2, XZ, ZSTD
+from salpcc.stages.evaluate.baselines.hevc import HEVC_INTRA
 from salpcc.stages.evaluate.baselines.laszip import LASZIP
 from salpcc.stages.evaluate.baselines.octree import OCTREE
 from salpcc.stages.evaluate.baselines.ours import SALPCC
@@ -21,6 +22,7 @@ BASELINES: Mapping[str, Baseline] = {
     "laszip": LASZIP,
     "octree": OCTREE,
     "png": PNG,
+    "hevc_intra": HEVC_INTRA,
     "xz": XZ,
     "zstd": ZSTD,
     "brotli": BROTLI,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 
 import numpy as np
+from numpy.typing import NDArray
 
 from salpcc.stages.evaluate.baselines.contract import Baseline, NotPossible, Points, Promise, step_of
 
@@ -17,7 +18,7 @@ UP, DOWN = np.deg2rad(2.0), np.deg2rad(-24.9)  # the sensor's field of view, 26.
 _HEAD = struct.Struct("<d")
 
 
-def project(points: Points, step: float) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
+def project(points: Points, step: float) -> NDArray[np.uint16]:
     """Return the range image, levels of ``step``; 0 is empty, the nearest point of a cell stays.
 
     Raises:
@@ -37,7 +38,7 @@ def project(points: Points, step: float) -> np.ndarray[tuple[int, int], np.dtype
     return image
 
 
-def unproject(image: np.ndarray[tuple[int, int], np.dtype[np.uint16]], step: float) -> Points:
+def unproject(image: NDArray[np.uint16], step: float) -> Points:
     """Return the points ``(M, 3)`` at the centres of the filled cells, row by row."""
     row, column = np.nonzero(image)
     reach = image[row, column] * step
