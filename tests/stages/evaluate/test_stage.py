@@ -126,3 +126,14 @@ def test_only_the_first_scan_is_sampled_and_only_when_asked(street: Street, payl
     assert np.array_equal(np.reshape(first["sample_points"], (-1, 3)), scans[0].points)
     assert second["sample_points"] is None
     assert measure(scans, scans, payloads)[0]["sample_points"] is None
+
+
+@pytest.mark.parametrize("points", [np.empty((0, 3)), [[np.nan, 0, np.inf]], [[1, 2, 3], [1, 2, 3]]])
+def test_odd_scans_are_measured_too(points: Any, payload_rows: Rows) -> None:
+    places = np.array(points, np.float32)
+    scan = Scan("000000", places, np.zeros(len(places), np.float32))
+    copy = Scan("000000", places.copy(), scan.intensity.copy())
+    (row,) = measure([copy], [scan], payload_rows([scan], [copy]), sample=True)
+    assert row["bit_exact"] and row["max_error_m"] == row["d_d_m2"] == 0.0
+    assert row["points_decoded"] == len(places)
+    assert row["group_confusion"] is None
