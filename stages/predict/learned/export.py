@@ -8,32 +8,43 @@ from numpy.typing import NDArray
 from salpcc.stages.predict.learned.features import LIMIT, SCALE
 from salpcc.stages.predict.learned.network import Network
 
+F64 = NDArray[np.float64]
+
 _ROOM = 2.0**24 * 0.98
+_FINEST = 12  # log2 of the largest scale
 
 
-def _scale(weight: NDArray[np.float64], bias: NDArray[np.float64]) -> float:
-    """Largest power of two that keeps every possible sum exact."""
-    reach = np.abs(weight).sum(0).max() * LIMIT + np.abs(bias).max() * SCALE + weight.shape[0] * LIMIT
-    return float(2.0 ** min(12, np.floor(np.log2(_ROOM / reach))))
+def _scale(weight: F64, bias: F64) -> float:
+    """Largest power of two that keeps every possible sum exact, rounding of the weights included."""
+    rounding = 0.5 * weight.shape[0] * LIMIT + 2.0
+    reach = (np.abs(weight).sum(0) * LIMIT + np.abs(bias) * SCALE).max()
+    return float(2.0 ** min(_FINEST, np.floor(np.log2((_ROOM - rounding) / reach))))
 
 
-def quantize_network(state: dict[str, NDArray[np.float64]], layers: int) -> Network:
-    """``state``: l.k.weight (out, in), l.k.bias, e.weight (lasers, width), o.weight, o.bias."""
-    scales, weights, biases = [], [], []
-    names = [f"l.{k}" for k in range(layers)] + ["o"]
-    for k, name in enumerate(names):
-        w = state[f"{name}.weight"].T
-        b = state[f"{name}.bias"][None] + (state["e.weight"] if k == 0 else 0.0)
-        s = _scale(w, b)
-        scales.append(s)
-        weights.append(np.ascontiguousarray(np.rint(w * s), np.float32))
-        biases.append(np.rint(b * s * SCALE).astype(np.float32))
+def quantize_network(layers: list[tuple[F64, F64]], tables: list[F64], last_table: F64 | None = None) -> Network:
+    """Round float weights.
+
+    ``layers`` are (weight (inputs, outputs), bias (outputs,)); ``tables`` (rows, width) add to the
+    first layer by index; ``last_table`` (lasers, outputs) adds to the last.
+    """
+    rows = max(len(table) for table in tables)
+    stacked = np.stack([np.pad(table, ((0, rows - len(table)), (0, 0))) for table in tables])
+    stacked[0] += layers[0][1]
+    biases = [np.abs(stacked).max(1).sum(0)]
+    biases += [bias for _, bias in layers[1:-1]]
+    last_bias = layers[-1][1][None] + (last_table if last_table is not None else np.zeros((rows, 1)))
+    biases.append(np.abs(last_bias).max(0))
+    scales = [_scale(weight, bias) for (weight, _), bias in zip(layers, biases, strict=True)]
+    whole = [
+        np.ascontiguousarray(np.rint(weight * s), np.float32) for (weight, _), s in zip(layers, scales, strict=True)
+    ]
+    hidden_bias = [np.rint(bias * s * SCALE) for (_, bias), s in zip(layers[1:-1], scales[1:-1], strict=True)]
     return Network(
-        first=weights[0],
-        embedding=biases[0],
-        hidden=np.stack(weights[1:-1]),
-        hidden_bias=np.concatenate(biases[1:-1]),
-        last=weights[-1],
-        last_bias=biases[-1][0],
+        first=whole[0],
+        tables=np.rint(stacked * scales[0] * SCALE).astype(np.float32),
+        hidden=np.stack(whole[1:-1]),
+        hidden_bias=np.stack(hidden_bias).astype(np.float32),
+        last=whole[-1],
+        last_bias=np.rint(last_bias * scales[-1] * SCALE).astype(np.float32),
         scales=np.array(scales, np.float32),
     )

@@ -1,4 +1,4 @@
-"""The network in exact arithmetic: float32 holding integers below 2 ** 24 (SENSOR_LATTICE.md, section 4).
+"""The networks in exact arithmetic: float32 holding integers below 2 ** 24 (SENSOR_LATTICE.md, section 4).
 
 Activations are integers 0..1023 (1/128 of a unit), weights integers with a power-of-two scale per
 layer. No partial sum can reach 2 ** 24 (:func:`check` proves it when weights are loaded), so every
@@ -7,7 +7,9 @@ addition is exact and the order of summation does not matter.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import io
+from dataclasses import dataclass, fields
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -22,47 +24,65 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Integer weights as float32.
+    """Integer weights as float32; ``scales`` are the powers of two of the layers' weights.
+
+    The first layer's bias is the sum of one row of each table in ``tables``, chosen by the laser and,
+    for intensity, by the nearest intensities; the last layer's bias is a row of ``last_bias``.
 
     Attributes:
-        first: ``(inputs, width)``; embedding: ``(lasers, width)`` biases of the first layer;
-        hidden: ``(layers, width, width)`` with biases ``(layers, width)``;
-        last: ``(width, outputs)`` with biases ``(outputs,)``;
-        scales: ``(layers + 2,)`` the power-of-two scale of each layer's weights.
+        first: ``(inputs, width)``; tables: ``(tables, rows, width)``; hidden: ``(layers, width,
+        width)`` and hidden_bias ``(layers, width)``; last: ``(width, outputs)``; last_bias:
+        ``(lasers, outputs)``; scales: ``(layers + 2,)``.
     """
 
     first: F32
-    embedding: F32
+    tables: F32
     hidden: F32
     hidden_bias: F32
     last: F32
     last_bias: F32
     scales: F32
 
+    def arrays(self) -> tuple[F32, F32, F32, F32, F32, F32, F32]:
+        """All arrays in the order the kernels take them."""
+        return self.first, self.tables, self.hidden, self.hidden_bias, self.last, self.last_bias, self.scales
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of the integer weights, whatever file they came from."""
+        total = sha256()
+        for field in fields(self):
+            value = getattr(self, field.name)
+            total.update(f"{field.name}{value.shape}".encode())
+            total.update(np.ascontiguousarray(value).astype("<i4").tobytes())
+        return total.hexdigest()
+
 
 def load_network(path: Path) -> Network:
     """Read weights written by :func:`save_network`; raises SalpccError where they are not exact."""
-    with np.load(path) as stored:
-        network = Network(**{name: np.ascontiguousarray(stored[name], np.float32) for name in Network.__annotations__})
+    with np.load(io.BytesIO(path.read_bytes())) as stored:
+        network = Network(*(np.ascontiguousarray(stored[f.name], np.float32) for f in fields(Network)))
     check(network)
     return network
 
 
 def save_network(path: Path, network: Network) -> None:
-    """Write the weights as 32-bit integers; inverse of :func:`load_network`."""
-    np.savez_compressed(path, **{name: value.astype(np.int32) for name, value in vars(network).items()})
+    """Write the weights as integers; inverse of :func:`load_network`."""
+    stored = {field.name: getattr(network, field.name).astype(np.int32) for field in fields(network)}
+    np.savez_compressed(path, **stored)
 
 
 def check(network: Network) -> None:
     """Raise SalpccError if some sum could leave the exact integers of float32."""
-    layers = [(network.first, network.embedding), (network.last, network.last_bias[None])]
-    layers += [(w, b[None]) for w, b in zip(network.hidden, network.hidden_bias, strict=True)]
+    layers = [
+        (network.first, np.abs(network.tables).max(1).sum(0)),
+        (network.last, np.abs(network.last_bias).max(0)),
+    ]
+    layers += [(w, np.abs(b)) for w, b in zip(network.hidden, network.hidden_bias, strict=True)]
     for weight, bias in layers:
-        reach = np.abs(weight).astype(np.float64).sum(0) * LIMIT + np.abs(bias).max(0)
+        reach = np.abs(weight).astype(np.float64).sum(0) * LIMIT + bias
         if reach.max() >= 2.0**24 or (weight != np.floor(weight)).any():
-            raise SalpccError(
-                "network weights are not exact in float32: export them again with smaller scales"
-            )
+            raise SalpccError("network weights are not exact in float32: export them again with smaller scales")
 
 
 @njit(cache=True, error_model="numpy")
@@ -92,7 +112,6 @@ def forward(
     x: F32,
     laser: int,
     first: F32,
-    embedding: F32,
     hidden: F32,
     hidden_bias: F32,
     last: F32,
@@ -102,20 +121,23 @@ def forward(
     acc: F32,
     out: F32,
 ) -> None:
-    """Run the network on integer features ``x``; fills ``out`` with real values (exact float32)."""
+    """Run the network on integer features ``x``; fills ``out`` with real values (exact float32).
+
+    ``acc`` holds the first layer's bias on entry; ``h`` is scratch of the same width.
+    """
     width = first.shape[1]
-    for j in range(width):
-        acc[j] = embedding[laser, j]
     _layer(first, x, len(x), acc)
     _activate(acc, width, scales[0], h)
     for layer in range(hidden.shape[0]):
+        bias = hidden_bias[layer]
         for j in range(width):
-            acc[j] = hidden_bias[layer, j]
+            acc[j] = bias[j]
         _layer(hidden[layer], h, width, acc)
         _activate(acc, width, scales[1 + layer], h)
+    bias = last_bias[laser]
     n = last.shape[1]
     for j in range(n):
-        out[j] = last_bias[j]
+        out[j] = bias[j]
     _layer(last, h, width, out)
     inverse = np.float32(1.0) / (scales[len(scales) - 1] * np.float32(SCALE))
     for j in range(n):

@@ -51,7 +51,7 @@ def _walk(  # type: ignore[no-untyped-def]
     constants,
     lever,
     first,
-    embedding,
+    tables,
     hidden,
     hidden_bias,
     last,
@@ -150,7 +150,9 @@ def _walk(  # type: ignore[no-untyped-def]
                 x,
                 mu,
             )
-            forward(x, k, first, embedding, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
+            for j in range(len(acc)):
+                acc[j] = tables[0, k, j]
+            forward(x, k, first, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
             n = set_mixture(out, mu, mix)
             if decoding:
                 target = decode_target(state, BITS)
@@ -185,7 +187,7 @@ def encode_ranges(ring_start, tick, level, step, sensor, network) -> NDArray[np.
         levels,
         constants,
         sensor["h"],
-        *vars(network).values(),
+        *network.arrays(),
         state,
         data,
     )
@@ -212,7 +214,7 @@ def decode_ranges(ring_start, tick, data, step, sensor, network) -> NDArray[np.i
         levels,
         constants,
         sensor["h"],
-        *vars(network).values(),
+        *network.arrays(),
         start_decoder(body),
         body,
     )
