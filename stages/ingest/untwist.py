@@ -37,7 +37,10 @@ def _rotate(x: float, y: float, z: float, wx: float, wy: float, wz: float) -> tu
     """Rodrigues' rotation of (x, y, z) by the small rotation vector w, by its series."""
     t = wx * wx + wy * wy + wz * wz
     a = 1.0 - t * (1.0 / 6.0) * (1.0 - t * (1.0 / 20.0) * (1.0 - t * (1.0 / 42.0) * (1.0 - t * (1.0 / 72.0))))
-    b = 0.5 * (1.0 - t * (1.0 / 12.0) * (1.0 - t * (1.0 / 30.0) * (1.0 - t * (1.0 / 56.0) * (1.0 - t * (1.0 / 90.0)))))
+    b = 0.5 * (
+        1.0
+        - t * (1.0 / 12.0) * (1.0 - t * (1.0 / 30.0) * (1.0 - t * (1.0 / 56.0) * (1.0 - t * (1.0 / 90.0))))
+    )
     cx = wy * z - wz * y
     cy = wz * x - wx * z
     cz = wx * y - wy * x

@@ -23,7 +23,9 @@ def sensor() -> SensorModel:
 def make_scan(sensor: SensorModel) -> Callable[..., Scan]:
     """Return a maker of scans: ground and walls with noise, every ``stride``-th firing, ``motion`` or raw."""
 
-    def make(seed: int = 0, stride: int = 4, motion: np.ndarray | None = DRIVING, name: str = "000000") -> Scan:
+    def make(
+        seed: int = 0, stride: int = 4, motion: np.ndarray | None = DRIVING, name: str = "000000"
+    ) -> Scan:
         rng = np.random.default_rng(seed)
         firings = np.arange(0, sensor.ticks_per_turn, 2 * stride)
         laser = np.repeat(np.arange(sensor.n_lasers), len(firings))

@@ -14,7 +14,9 @@ def test_against_scipy(seed: int) -> None:
     a, b, c = rng.normal(0, 0.2, 3) - [0, 0, 1.7]
     xy = rng.uniform(-20, 20, (200, 2))
     points = np.column_stack([xy, a * xy[:, 0] + b * xy[:, 1] + c + rng.normal(0, 0.05, 200)])
-    oracle = least_squares(lambda p: plane_distance(points, p), np.zeros(3), method="lm", xtol=1e-14, ftol=1e-14)
+    oracle = least_squares(
+        lambda p: plane_distance(points, p), np.zeros(3), method="lm", xtol=1e-14, ftol=1e-14
+    )
     assert np.allclose(fit_plane(points), oracle.x, atol=1e-7)
 
 

@@ -29,7 +29,9 @@ def test_unproject_is_the_formula_of_the_document(sensor) -> None:
         r * np.sin(phi) + sensor.h[k] * np.cos(phi),
         d * np.sin(sensor.theta[k]) + sensor.z0[k],
     ]
-    point = unproject(sensor, np.array([k], np.uint8), np.array([tick], np.int32), np.array([count], np.int32))
+    point = unproject(
+        sensor, np.array([k], np.uint8), np.array([tick], np.int32), np.array([count], np.int32)
+    )
     assert np.abs(point[0] - expected).max() < 1e-13
 
 

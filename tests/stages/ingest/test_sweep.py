@@ -14,7 +14,9 @@ from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
 def same_bits(a: Scan, b: Scan) -> bool:
     classes = a.classes is b.classes is None or bool((a.classes == b.classes).all())
     return (
-        a.points.tobytes() == b.points.tobytes() and a.intensity.tobytes() == b.intensity.tobytes() and classes
+        a.points.tobytes() == b.points.tobytes()
+        and a.intensity.tobytes() == b.intensity.tobytes()
+        and classes
     )
 
 

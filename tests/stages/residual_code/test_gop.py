@@ -21,7 +21,9 @@ def sweeps(make_scan, sensor):
     scans = [make_scan(seed, stride=8) for seed in range(2)]
     scans.append(make_scan(2, stride=8, motion=None))
     scans[1].points[[3, 30, 300]] = np.nan
-    scans.append(replace(scans[0], intensity=np.random.default_rng(0).random(len(scans[0])).astype(np.float32)))
+    scans.append(
+        replace(scans[0], intensity=np.random.default_rng(0).random(len(scans[0])).astype(np.float32))
+    )
     return [scan_to_sweep(scan, sensor) for scan in scans]
 
 
@@ -35,7 +37,9 @@ def payloads(sweeps, sensor):
 def test_round_trip(sweeps, sensor, effort, max_error) -> None:
     task = sweeps if max_error is None else [quantise(sweep, sensor, max_error) for sweep in sweeps]
     payloads = encode_gop(task, sensor, effort)
-    for sweep, back, payload in zip(task, decode_gop((p.data for p in payloads), sensor), payloads, strict=True):
+    for sweep, back, payload in zip(
+        task, decode_gop((p.data for p in payloads), sensor), payloads, strict=True
+    ):
         assert content_crc(back) == content_crc(sweep)
         assert sum(payload.sizes.values()) == len(payload.data)
         a, b = sweep_to_scan(sweep, sensor), sweep_to_scan(back, sensor)
@@ -57,7 +61,10 @@ def test_scans_without_a_lattice(sensor, n, max_error) -> None:
 
 def test_quantised_scans_are_smaller(sweeps, sensor) -> None:
     sizes = [
-        sum(p.sizes["geometry"] for p in encode_gop([quantise(s, sensor, e) for s in sweeps[:3]], sensor, "fast"))
+        sum(
+            p.sizes["geometry"]
+            for p in encode_gop([quantise(s, sensor, e) for s in sweeps[:3]], sensor, "fast")
+        )
         for e in (0.001, 0.005, 0.02)
     ]
     exact = sum(p.sizes["geometry"] for p in encode_gop(sweeps[:3], sensor, "fast"))
