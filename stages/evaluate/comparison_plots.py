@@ -74,17 +74,22 @@ def _distortion_plot(curves: Curves) -> Plot:
 
 def _time_plot(curves: Curves) -> Plot:
     """Geometry bits per point against encoding time, every codec at the same asked error."""
+    times = [points[0].encode_ms or 0.0 for points in curves.values()]
+    low, high = min(times), max(times)
     with drawing(3.4) as (axes, svg):
         for name, style in _styles(curves):
             point = curves[name][0]
-            axes.plot([point.encode_ms or 0.0], [point.bpp], linestyle="none", **style)
-            axes.annotate(
-                name, (point.encode_ms or 0, point.bpp), (7, 4), textcoords="offset points", fontsize=9
-            )
+            axes.plot([point.encode_ms or 0.0], [point.bpp], linestyle="none", label=name, **style)
         axes.set_xscale("log")
+        axes.set_xticks(
+            [t for t in (1, 3, 10, 30, 100, 300, 1000, 3000, 10000, 30000) if low / 2 < t < 2 * high]
+        )
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.minorticks_off()
         axes.set_xlabel("encoding, CPU ms a scan")
         axes.set_ylabel("geometry, bits per input point")
         axes.set_ylim(bottom=0)
+        legend(axes)
         legend(axes)
     caption = (
         f"Everyone who bounds the error, at {1e3 * _EQUAL_ERROR:g} mm. Lower and further left is better."
@@ -105,10 +110,12 @@ def _curves(report: Mapping[str, Any]) -> dict[str, list[Point]]:
 
 
 def _styles(curves: Curves) -> list[tuple[str, dict[str, Any]]]:
-    """Colour and marker of each codec; ours stands out and is drawn last."""
+    """Colour and marker of each codec, the same in every plot; ours stands out and is drawn last."""
+    places = {name: place for place, name in enumerate(name for name in BASELINES if name != OURS)}
     styles: list[tuple[str, dict[str, Any]]] = []
-    for i, name in enumerate(n for n in curves if n != OURS):
-        colour, marker = COLOURS[i % len(COLOURS)], _MARKERS[i % len(_MARKERS)]
+    for name in (n for n in curves if n != OURS):
+        place = places.get(name, len(places))
+        colour, marker = COLOURS[place % len(COLOURS)], _MARKERS[place % len(_MARKERS)]
         styles.append((name, {"color": colour, "marker": marker, "markersize": 5}))
     if OURS in curves:
         ours = {"color": ACCENT, "marker": "o", "markersize": 6, "linewidth": 2.2, "zorder": 5}
