@@ -90,7 +90,6 @@ def _time_plot(curves: Curves) -> Plot:
         axes.set_ylabel("geometry, bits per input point")
         axes.set_ylim(bottom=0)
         legend(axes)
-        legend(axes)
     caption = (
         f"Everyone who bounds the error, at {1e3 * _EQUAL_ERROR:g} mm. Lower and further left is better."
     )
