@@ -27,7 +27,7 @@ NO_CORRECTION = 13  # (0, 0, 0) as a base-3 code of dx + 1, dy + 1, dz + 1
 
 
 @njit(cache=True)
-def _laser_constants(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+def laser_constants(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
     """cos theta, sin theta, cos phi0, sin phi0 per laser."""
     constants = np.empty((len(parameters), 4))
     for k in range(len(parameters)):
@@ -41,6 +41,26 @@ def _laser_constants(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @njit(cache=True)
+def model_point(
+    tick: int,
+    count: float,
+    p: NDArray[np.float64],
+    c: NDArray[np.float64],
+    count_size: float,
+    sines: NDArray[np.float64],
+    cosines: NDArray[np.float64],
+) -> tuple[float, float, float]:
+    """Model point in metres of a return of laser ``p`` (constants ``c``); tables of one turn's ticks."""
+    h = p[2]
+    cos_phi = cosines[tick] * c[2] - sines[tick] * c[3]
+    sin_phi = sines[tick] * c[2] + cosines[tick] * c[3]
+    d = count_size * count + p[4]
+    rho = d * c[0]
+    r = np.sqrt(max(rho * rho - h * h, 0.0))
+    return r * cos_phi - h * sin_phi, r * sin_phi + h * cos_phi, d * c[1] + p[1]
+
+
+@njit(cache=True)
 def _unproject(
     parameters: NDArray[np.float64],
     count_size: float,
@@ -50,21 +70,13 @@ def _unproject(
     count: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     sines, cosines = turn_tables(ticks)
-    constants = _laser_constants(parameters)
+    constants = laser_constants(parameters)
     points = np.empty((len(laser), 3))
     for i in range(len(laser)):
         k = laser[i]
-        c = constants[k]
-        h = parameters[k, 2]
-        t = tick[i] % ticks
-        cos_phi = cosines[t] * c[2] - sines[t] * c[3]
-        sin_phi = sines[t] * c[2] + cosines[t] * c[3]
-        d = count_size * count[i] + parameters[k, 4]
-        rho = d * c[0]
-        r = np.sqrt(max(rho * rho - h * h, 0.0))
-        points[i, 0] = r * cos_phi - h * sin_phi
-        points[i, 1] = r * sin_phi + h * cos_phi
-        points[i, 2] = d * c[1] + parameters[k, 1]
+        points[i, 0], points[i, 1], points[i, 2] = model_point(
+            tick[i] % ticks, count[i], parameters[k], constants[k], count_size, sines, cosines
+        )
     return points
 
 
@@ -111,7 +123,7 @@ def _project(
     laser: NDArray[np.int64],
     raw: NDArray[np.int64],
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    constants = _laser_constants(parameters)
+    constants = laser_constants(parameters)
     n = len(raw)
     tick = np.zeros(n, np.int32)
     count = np.full(n, -1, np.int32)
@@ -134,19 +146,14 @@ def project(
 
 
 @njit(cache=True)
-def correction_codes(difference: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Code differences ``(N, 3)`` as 0..26, or -1 where one of them is outside -1..1."""
-    codes = np.empty(len(difference), np.int64)
-    for i in range(len(difference)):
-        a = difference[i, 0] + 1
-        b = difference[i, 1] + 1
-        c = difference[i, 2] + 1
-        inside = 0 <= a <= 2 and 0 <= b <= 2 and 0 <= c <= 2
-        codes[i] = 9 * a + 3 * b + c if inside else -1
-    return codes
+def correction_code(a: int, b: int, c: int) -> int:
+    """Code three differences as ``9 (a + 1) + 3 (b + 1) + c + 1``, or -1 where one is outside -1..1."""
+    if abs(a) > 1 or abs(b) > 1 or abs(c) > 1:
+        return -1
+    return 9 * a + 3 * b + c + NO_CORRECTION
 
 
 def corrections(codes: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Inverse of :func:`correction_codes` for codes 0..26: ``(N, 3)`` in -1..1."""
+    """Inverse of :func:`correction_code` for codes 0..26: ``(N, 3)`` in -1..1."""
     wide = codes.astype(np.int64)
     return np.stack([wide // 9 - 1, wide // 3 % 3 - 1, wide % 3 - 1], axis=1)

@@ -13,28 +13,28 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.lattice import correction_codes, project, unproject
+from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.measure import measure
 from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
 from salpcc.stages.ingest.publish import compensated_points, ordered_bits, published_points, raw_points
 from salpcc.stages.ingest.rings import assign_lasers
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist
+from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist, within_reach
 
 # A lattice that explains fewer points than this is not the scan's lattice, and strays cost less.
 _MIN_SHARE = 0.2
 _MIN_POINTS_FOR_MOTION = 200
-_MAX_COUNT = (1 << 20) - 1
 
 
 def _fits_lattice(
-    laser: NDArray[np.int64], tick: NDArray[np.int32], model: NDArray[np.float64]
+    laser: NDArray[np.int64], tick: NDArray[np.int32], key: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Mark points, in file order, that are the only ones of their firing and come back in their place."""
-    keep = in_order(laser, azimuth_keys(model))
+    keep = in_order(laser, key)
     cell = (laser << 32) | tick
-    first = np.zeros(len(cell), np.bool_)
-    first[np.unique(cell, return_index=True)[1]] = True
-    return keep & first
+    order = np.argsort(cell, kind="stable")
+    keep[order[1:][cell[order[1:]] == cell[order[:-1]]]] = False
+    return keep
 
 
 def _find_motion(
@@ -96,30 +96,21 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     Args:
         start: motion of the scan before, from which the inversion starts.
     """
-    finite = np.isfinite(scan.points).all(axis=1) & (np.abs(scan.points) < 1e4).all(axis=1)
-    locked, motion = _find_motion(scan.points[finite], start)
+    points = np.ascontiguousarray(scan.points, dtype=np.float32)
+    within = within_reach(points)
+    locked, motion = _find_motion(points if within.all() else points[within], start)
     if not locked:
         return _all_strays(scan)
 
-    raw = np.zeros((len(scan), 3), np.int64)
-    usable = finite.copy()
-    raw[finite], usable[finite] = untwist(scan.points[finite], motion)
+    raw, compensated, usable = untwist(points, motion)
     laser = assign_lasers(sensor, raw, usable)
-    tick, count = project(sensor, laser, raw)
-    on = np.flatnonzero((laser >= 0) & (count >= 0) & (count <= _MAX_COUNT))
-
-    model = unproject(sensor, laser[on].astype(np.uint8), tick[on], count[on])
-    millimetre = correction_codes(raw[on] - np.rint(model * 1000.0).astype(np.int64))
-    published = compensated_points(raw[on], motion).astype(np.float32)
-    ulp = correction_codes(ordered_bits(scan.points[on]) - ordered_bits(published))
-    fits = (millimetre >= 0) & (ulp >= 0)
-    fits[fits] = _fits_lattice(laser[on][fits], tick[on][fits], model[fits])
-    if fits.sum() < _MIN_SHARE * len(scan):
+    tick, count, millimetre, ulp, key = measure(sensor, laser, raw, compensated, points)
+    on = np.flatnonzero((millimetre >= 0) & (ulp >= 0))
+    on = on[_fits_lattice(laser[on], tick[on], key[on])]
+    if len(on) < _MIN_SHARE * len(scan):
         return _all_strays(scan)
-    on, millimetre, ulp = on[fits], millimetre[fits], ulp[fits]
-    firing = np.lexsort((tick[on], laser[on]))
-    on, millimetre, ulp = on[firing], millimetre[firing], ulp[firing]
-    return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre, ulp)
+    on = on[np.argsort((laser[on] << 32) | tick[on], kind="stable")]
+    return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre[on], ulp[on])
 
 
 def _return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32], NDArray[np.int64]]:

@@ -21,6 +21,7 @@ from salpcc.stages.ingest.trig import TWO_PI, arctan2
 # a wrong motion are uniform, 0.29 mm rms, and next to none of them is near 0 on all axes.
 _ON_LATTICE = 1e-5  # metres
 _LOCKED_SHARE = 0.5
+_FARTHEST = 1e4  # metres
 _GROWING_MM = 0.15
 _POINTS_PER_ROUND = 1000
 _POINTS_TO_POLISH = 8000
@@ -108,8 +109,8 @@ def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.f
 
 @njit(cache=True)
 def _on_lattice(x: float) -> float:
-    """Nearest raw coordinate: float32 of a whole number of millimetres."""
-    return np.float64(np.float32(np.rint(x * 1000.0) / 1000.0))
+    """Nearest raw coordinate: float32 of a whole number of millimetres, and no -0.0."""
+    return np.float64(np.float32(np.rint(x * 1000.0) / 1000.0 + 0.0))
 
 
 @njit(cache=True)
@@ -215,30 +216,47 @@ def _grow(
 
 
 @njit(cache=True)
-def _raw_points(
-    points: NDArray[np.float64], motion: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Invert every point; returns whole millimetres and whether forward again is within 0.01 mm."""
+def within_reach(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Mark the points ``(N, 3)`` that are finite and within 10 km."""
+    within = np.zeros(len(points), np.bool_)
+    for i in range(len(points)):
+        within[i] = (
+            abs(points[i, 0]) < _FARTHEST and abs(points[i, 1]) < _FARTHEST and abs(points[i, 2]) < _FARTHEST
+        )
+    return within
+
+
+@njit(cache=True)
+def _untwist(
+    points: NDArray[np.float32], motion: NDArray[np.float64], moving: bool
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
     n = len(points)
-    raw = np.empty((n, 3), np.int64)
+    raw = np.zeros((n, 3), np.int64)
+    again = np.zeros((n, 3))
     good = np.zeros(n, np.bool_)
     for i in range(n):
-        x = points[i, 0]
-        y = points[i, 1]
-        z = points[i, 2]
-        near_seam = x < 0.0 and abs(y) < -0.1 * x
+        x = np.float64(points[i, 0])
+        y = np.float64(points[i, 1])
+        z = np.float64(points[i, 2])
+        if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and abs(z) < _FARTHEST):
+            continue
+        near_seam = moving and x < 0.0 and abs(y) < -0.1 * x
         for branch in (0, 1, -1):
             if branch != 0 and not near_seam:
                 break
-            qx, qy, qz = _inverse(x, y, z, motion, branch)
+            qx, qy, qz = _inverse(x, y, z, motion, branch) if moving else (x, y, z)
             raw[i, 0] = np.int64(np.rint(qx * 1000.0))
             raw[i, 1] = np.int64(np.rint(qy * 1000.0))
             raw[i, 2] = np.int64(np.rint(qz * 1000.0))
-            fx, fy, fz = _forward(_on_lattice(qx), _on_lattice(qy), _on_lattice(qz), motion)
-            if abs(fx - x) < 1e-5 and abs(fy - y) < 1e-5 and abs(fz - z) < 1e-5:
+            qx, qy, qz = _on_lattice(qx), _on_lattice(qy), _on_lattice(qz)
+            fx, fy, fz = _forward(qx, qy, qz, motion) if moving else (qx, qy, qz)
+            again[i, 0] = fx
+            again[i, 1] = fy
+            again[i, 2] = fz
+            if abs(fx - x) < _ON_LATTICE and abs(fy - y) < _ON_LATTICE and abs(fz - z) < _ON_LATTICE:
                 good[i] = True
                 break
-    return raw, good
+    return raw, again, good
 
 
 def is_raw(points: NDArray[np.float32]) -> bool:
@@ -290,13 +308,12 @@ def _sharpest(points: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArra
 
 def untwist(
     points: NDArray[np.float32], motion: NDArray[np.float64] | None
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
     """Undo :func:`twist` (``motion`` None: the points are raw already).
 
     Returns:
-        raw points ``(N, 3)`` int64 in mm, and per point whether the lattice explains it to 0.01 mm.
+        raw points ``(N, 3)`` int64 in mm; those moved forward again, ``(N, 3)`` float64 in metres; and
+        per point whether the two roundings explain the point to 0.01 mm. Points that are not finite or
+        beyond 10 km do not count as explained.
     """
-    exact = points.astype(np.float64)
-    if motion is None:
-        motion = np.zeros(6)
-    return _raw_points(exact, motion)
+    return _untwist(points, np.zeros(6) if motion is None else motion, motion is not None)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salpcc.stages.ingest.lattice import correction_codes, corrections, project, unproject
+from salpcc.stages.ingest.lattice import correction_code, corrections, project, unproject
 from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
 
 
@@ -36,9 +36,9 @@ def test_unproject_is_the_formula_of_the_document(sensor) -> None:
 
 
 @given(st.lists(st.tuples(*[st.integers(-2, 2)] * 3), min_size=1, max_size=20))
-def test_correction_codes(rows) -> None:
+def test_correction_code(rows) -> None:
     difference = np.array(rows, np.int64)
-    codes = correction_codes(difference)
+    codes = np.array([correction_code(*row) for row in rows])
     inside = (np.abs(difference) <= 1).all(axis=1)
     assert ((codes >= 0) == inside).all()
     assert (corrections(codes[inside].astype(np.uint8)) == difference[inside]).all()

@@ -24,7 +24,8 @@ def test_cold_start_finds_the_motion(make_scan, motion) -> None:
     found = solve_motion(points)
     assert found is not None
     assert np.abs(found - motion).max() < 1e-6
-    back, good = untwist(points, found)
+    back, again, good = untwist(points, found)
+    assert np.abs(again - points).max() < 1e-5
     assert good.all()
     assert (back == np.rint(raw * 1000)).all()
     assert ((twist(raw, found).astype(np.float32) == points).all(axis=1)).mean() > 0.98
