@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from salpcc.schemas.errors import UsageError
 from salpcc.stages.evaluate.baselines.contract import Baseline
 from salpcc.stages.evaluate.baselines.draco import DRACO, DRACO_SEQUENTIAL
+from salpcc.stages.evaluate.baselines.feng import FENG
 from salpcc.stages.evaluate.baselines.generic import BROTLI, BZIP2, XZ, ZSTD
 from salpcc.stages.evaluate.baselines.hevc import HEVC_INTRA
 from salpcc.stages.evaluate.baselines.laszip import LASZIP
@@ -23,6 +24,7 @@ BASELINES: Mapping[str, Baseline] = {
     "octree": OCTREE,
     "png": PNG,
     "hevc_intra": HEVC_INTRA,
+    "feng": FENG,
     "xz": XZ,
     "zstd": ZSTD,
     "brotli": BROTLI,

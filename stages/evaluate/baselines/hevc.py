@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.evaluate.baselines.contract import Baseline, NotPossible, Points, Promise, step_of
-from salpcc.stages.evaluate.baselines.png import project, unproject
+from salpcc.stages.evaluate.baselines.range_image import project, to_levels, unproject
 
 _QP = 22
 _HEAD = struct.Struct("<dHHII")  # step, levels per grey value, rows, bytes of the picture, of the mask
@@ -27,7 +27,7 @@ _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 6}]
 def encode(points: Points, max_error: float) -> bytes:
     """Encode the range image; see the contract."""
     step = step_of(max_error)
-    levels = project(points, step).astype(np.int32)
+    levels = to_levels(project(points), step).astype(np.int32)
     filled = levels > 0
     scale = max(1, -(-int(levels.max()) // 255))
     grey = np.rint(_fill(levels) / scale).astype(np.uint8)
@@ -47,7 +47,7 @@ def decode(data: bytes) -> Points:
     filled = bits[: grey.size].reshape(rows, -1).astype(bool)
     levels = np.zeros(grey.shape, np.int32)
     levels[filled] = grey[filled] * scale + _from_planes(_unpack(data[start + mask_size :]))
-    return unproject(levels.astype(np.uint16), float(step))
+    return unproject(levels * float(step))
 
 
 def _fill(levels: NDArray[np.int32]) -> NDArray[np.int32]:
