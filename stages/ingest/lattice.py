@@ -26,7 +26,7 @@ from salpcc.stages.ingest.trig import TWO_PI, arctan2, sin_cos, turn_tables
 NO_CORRECTION = 13  # (0, 0, 0) as a base-3 code of dx + 1, dy + 1, dz + 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def laser_constants(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
     """cos theta, sin theta, cos phi0, sin phi0 per laser."""
     constants = np.empty((len(parameters), 4))
@@ -40,7 +40,7 @@ def laser_constants(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
     return constants
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def model_point(
     tick: int,
     count: float,
@@ -60,7 +60,7 @@ def model_point(
     return r * cos_phi - h * sin_phi, r * sin_phi + h * cos_phi, d * c[1] + p[1]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _unproject(
     parameters: NDArray[np.float64],
     count_size: float,
@@ -95,7 +95,7 @@ def unproject(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def project_point(
     x: float,
     y: float,
@@ -115,7 +115,7 @@ def project_point(
     return tick, np.int64(np.rint((d - p[4]) / count_size))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _project(
     parameters: NDArray[np.float64],
     count_size: float,
@@ -145,7 +145,7 @@ def project(
     return _project(sensor.parameters, sensor.count, sensor.ticks_per_turn, laser, raw)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def correction_code(a: int, b: int, c: int) -> int:
     """Code three differences as ``9 (a + 1) + 3 (b + 1) + c + 1``, or -1 where one is outside -1..1."""
     if abs(a) > 1 or abs(b) > 1 or abs(c) > 1:

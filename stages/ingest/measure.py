@@ -13,12 +13,12 @@ from salpcc.stages.ingest.trig import TWO_PI, arctan2, turn_tables
 MAX_COUNT = (1 << 20) - 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _ordered(bits: int) -> int:
     return bits ^ 0x7FFFFFFF if bits < 0 else bits
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _measure(  # type: ignore[no-untyped-def]
     parameters, count_size, ticks, laser, raw, published, points
 ):

@@ -16,7 +16,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.lattice import unproject
 from salpcc.stages.ingest.measure import measure
 from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
-from salpcc.stages.ingest.publish import compensated_points, ordered_bits, published_points, raw_points
+from salpcc.stages.ingest.publish import compensated_points, published_points, raw_points
 from salpcc.stages.ingest.rings import assign_lasers
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist, within_reach

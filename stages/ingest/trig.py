@@ -36,7 +36,7 @@ HALF_PI = 1.5707963267948966
 TWO_PI = 6.283185307179586
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def arctan2(y: float, x: float) -> float:
     """Return the angle of (x, y) in [-pi, pi]; 0 for the origin."""
     ax = abs(x)
@@ -61,7 +61,7 @@ def arctan2(y: float, x: float) -> float:
     return -angle if y < 0.0 else angle
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sin_taylor(x: float) -> float:
     s = x * x
     return x * (
@@ -75,7 +75,7 @@ def _sin_taylor(x: float) -> float:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cos_taylor(x: float) -> float:
     s = x * x
     return 1.0 - s * (1.0 / 2.0) * (
@@ -89,7 +89,7 @@ def _cos_taylor(x: float) -> float:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def sin_cos(x: float) -> tuple[float, float]:
     """Return sine and cosine of ``x`` radians, for |x| up to some hundred turns."""
     quarter = np.floor(x / HALF_PI + 0.5)
@@ -107,7 +107,7 @@ def sin_cos(x: float) -> tuple[float, float]:
     return -c, s
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def turn_tables(divisions: int) -> tuple[np.ndarray, np.ndarray]:
     """Return sine and cosine of ``2 pi k / divisions`` for every k in 0..divisions - 1, float64."""
     sines = np.empty(divisions)

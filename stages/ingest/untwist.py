@@ -33,7 +33,7 @@ _START_SPEEDS = tuple(-0.3 * k for k in range(-2, 14))  # metres per turn, forwa
 _START_YAW_RATES = (0.0, -0.05, 0.05, -0.1, 0.1)  # radians per turn
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rotate(x: float, y: float, z: float, wx: float, wy: float, wz: float) -> tuple[float, float, float]:
     """Rodrigues' rotation of (x, y, z) by the small rotation vector w, by its series."""
     t = wx * wx + wy * wy + wz * wz
@@ -52,14 +52,14 @@ def _rotate(x: float, y: float, z: float, wx: float, wy: float, wz: float) -> tu
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _forward(x: float, y: float, z: float, m: NDArray[np.float64]) -> tuple[float, float, float]:
     s = arctan2(y, x) / TWO_PI
     px, py, pz = _rotate(x, y, z, s * m[3], s * m[4], s * m[5])
     return px + s * m[0], py + s * m[1], pz + s * m[2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _turned_back(
     x: float, y: float, z: float, s: float, m: NDArray[np.float64]
 ) -> tuple[float, float, float]:
@@ -67,12 +67,12 @@ def _turned_back(
     return _rotate(x - s * m[0], y - s * m[1], z - s * m[2], -s * m[3], -s * m[4], -s * m[5])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _branched(s: float, branch: int) -> float:
     return s + branch if branch != 0 and s * branch < 0.0 else s
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -> tuple[float, float, float]:
     """Solve P(q) = (x, y, z) for q. ``branch`` of 1 or -1 moves s there by a turn.
 
@@ -94,7 +94,7 @@ def _inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) 
     return qx, qy, qz
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compensate raw points ``(N, 3)`` in metres for the motion ``(6,)``; the published ones are its float32."""
     n = raw.shape[0]
@@ -107,13 +107,13 @@ def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.f
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _on_lattice(x: float) -> float:
     """Nearest raw coordinate: float32 of a whole number of millimetres, and no -0.0."""
     return np.float64(np.float32(np.rint(x * 1000.0) / 1000.0 + 0.0))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _fit(
     points: NDArray[np.float64],
     chosen: NDArray[np.int64],
@@ -215,7 +215,7 @@ def _grow(
         sector *= 3.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def within_reach(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Mark the points ``(N, 3)`` that are finite and within 10 km."""
     within = np.zeros(len(points), np.bool_)
@@ -226,7 +226,7 @@ def within_reach(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     return within
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _untwist(
     points: NDArray[np.float32], motion: NDArray[np.float64], moving: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:

@@ -19,6 +19,7 @@ from salpcc.stages.ingest.trig import TWO_PI
 
 N_PREDICTORS = 6
 N_SPREADS = 40
+_FIRST_SPREAD = (1023 - 2) << 2  # of 0.25
 _FAR_GAP = 12.0  # ticks; returns further apart are not neighbours
 PRIOR_ERROR = 12.0  # counts, for a predictor that has not been tried yet
 
@@ -39,13 +40,13 @@ def laser_table(sensor: SensorModel) -> NDArray[np.float64]:
     )
 
 
-@njit(cache=True)
-def new_state(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+@njit(cache=True, error_model="numpy")
+def new_state(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
     """Return per return: 1/r, azimuth in ticks, and the errors ``(n, N_PREDICTORS)`` of the predictors."""
-    return np.zeros(n), np.zeros(n), np.full((n, N_PREDICTORS), PRIOR_ERROR)
+    return np.zeros(n), np.zeros(n), np.zeros((n, N_PREDICTORS), np.float32)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _upper_at(
     azimuth: float, j: int, begin: int, end: int, inverse: NDArray[np.float64], azimuths: NDArray[np.float64]
 ) -> float:
@@ -66,7 +67,7 @@ def _upper_at(
     return 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict_return(
     i: int,
     begin: int,
@@ -77,7 +78,7 @@ def predict_return(
     offset: float,
     inverse: NDArray[np.float64],
     azimuths: NDArray[np.float64],
-    errors: NDArray[np.float64],
+    errors: NDArray[np.float32],
     running: NDArray[np.float64],
     guesses: NDArray[np.float64],
 ) -> tuple[float, float, int]:
@@ -87,7 +88,7 @@ def predict_return(
         begin, above: first return of its ring and of the ring above (``above == begin``: none).
         cursor: where the ring above was left off.
         running: decayed errors of the predictors along this ring, ``(N_PREDICTORS,)``.
-        guesses: receives each predictor's range in counts, ``(N_PREDICTORS,)``.
+        guesses: receives what each predictor says of 1/r, ``(N_PREDICTORS,)``.
 
     Returns:
         predicted range and expected error, both in counts, and the new cursor.
@@ -127,12 +128,12 @@ def predict_return(
     high = 1.7 * last
     linear = min(max(linear, low), high)
     gradient = min(max(gradient, low), high)
-    guesses[0] = 1.0 / last
-    guesses[1] = 1.0 / linear
-    guesses[2] = 1.0 / gradient
-    guesses[3] = 1.0 / (up if up > 0.0 else last)
-    guesses[4] = 1.0 / (0.5 * (linear + gradient))
-    guesses[5] = 1.0 / (0.5 * (last + gradient))
+    guesses[0] = last
+    guesses[1] = linear
+    guesses[2] = gradient
+    guesses[3] = up if up > 0.0 else last
+    guesses[4] = 0.5 * (linear + gradient)
+    guesses[5] = 0.5 * (last + gradient)
 
     total = 0.0
     mean = 0.0
@@ -149,14 +150,14 @@ def predict_return(
         total += trust
         mean += trust * guesses[p]
         spread += trust * e
-    mean /= total
     spread /= total
     # Where the trusted ones disagree, the surface breaks.
-    apart = abs(guesses[2] - guesses[0])
-    return mean, spread + 0.25 * min(apart, 4.0 * spread), j
+    ranged = total / mean
+    apart = abs(gradient - last) * ranged * ranged
+    return ranged, spread + 0.25 * min(apart, 4.0 * spread), j
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def learn_return(
     i: int,
     range_counts: float,
@@ -165,7 +166,7 @@ def learn_return(
     offset: float,
     inverse: NDArray[np.float64],
     azimuths: NDArray[np.float64],
-    errors: NDArray[np.float64],
+    errors: NDArray[np.float32],
     running: NDArray[np.float64],
     guesses: NDArray[np.float64],
 ) -> None:
@@ -173,23 +174,23 @@ def learn_return(
     inverse[i] = 1.0 / max(range_counts, 1.0)
     azimuths[i] = tick + offset + lever * inverse[i]
     for p in range(N_PREDICTORS):
-        e = min(abs(range_counts - guesses[p]), 4000.0)
+        # |r - 1/w| to first order, without the division
+        e = min(abs(range_counts * guesses[p] - 1.0) * range_counts, 4000.0)
         errors[i, p] = e
         running[p] += 0.3 * (min(e, 200.0) - running[p])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def spread_bucket(spread: float) -> int:
-    """Quarter-octave bucket of an expected error in levels, 0 to N_SPREADS - 1."""
-    bucket = 0
-    threshold = 0.25
-    while bucket < N_SPREADS - 1 and spread > threshold:
-        threshold *= 1.189207115002721
-        bucket += 1
-    return bucket
+    """Bucket of an expected error in levels, four to the octave from 1/4 up, 0 to N_SPREADS - 1.
+
+    Exponent and two leading bits of the mantissa, read off the float64 itself.
+    """
+    bits = np.float64(min(max(spread, 0.25), 1e6)).view(np.int64)
+    return min((bits >> 50) - _FIRST_SPREAD, N_SPREADS - 1)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict_levels(
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],

@@ -25,14 +25,14 @@ _SPREADS = 6
 CONTEXTS = _MEANS * _SPREADS * _TREE
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _nearness(a: float, b: float) -> float:
     """Weight of a neighbour at range b for a return at range a."""
     gap = abs(a - b) / (a + b + 1.0)
     return 1.0 / (1.0 + 300.0 * gap)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _context(
     i: int,
     begin: int,
@@ -76,7 +76,7 @@ def _context(
     return min(np.int64(mean * 0.25 + 0.5), _MEANS - 1) * _SPREADS + spread
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def encode_intensity(
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],
@@ -105,7 +105,7 @@ def encode_intensity(
     return finish_encoder(state, out)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def decode_intensity(
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],

@@ -35,7 +35,7 @@ _PER_SPREAD = 2 + _CLASSES * 4
 CONTEXTS = N_SPREADS * _PER_SPREAD
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _encode_residual(state, out, model, bucket, residual):  # type: ignore[no-untyped-def]
     base = bucket * _PER_SPREAD
     encode_bit(state, out, model, base, 1 if residual != 0 else 0)
@@ -60,7 +60,7 @@ def _encode_residual(state, out, model, bucket, residual):  # type: ignore[no-un
                 encode_interval(state, out, magnitude & ((1 << bits) - 1), 1, bits)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _decode_residual(state, data, model, bucket):  # type: ignore[no-untyped-def]
     base = bucket * _PER_SPREAD
     if decode_bit(state, data, model, base) == 0:
@@ -84,7 +84,7 @@ def _decode_residual(state, data, model, bucket):  # type: ignore[no-untyped-def
     return -magnitude if negative else magnitude
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def encode_levels(
     level: NDArray[np.int32],
     prediction: NDArray[np.int32],
@@ -99,7 +99,7 @@ def encode_levels(
     return finish_encoder(state, out)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def decode_levels(
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],
