@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from salpcc.stages.evaluate.aggregate import count, error_figures, median, total
+from salpcc.stages.evaluate.bd_rate import bd_rate
 from salpcc.stages.evaluate.metrics import bits_per_point, compression_rate
+
+OURS = "salpcc"
 
 
 def baseline_figures(rows: pa.Table) -> dict[str, dict[str, dict[str, Any]]]:
@@ -21,6 +25,19 @@ def baseline_figures(rows: pa.Table) -> dict[str, dict[str, dict[str, Any]]]:
             for error in sorted(_distinct(mine, "max_error"))
         }
     return result
+
+
+def bd_rates(baselines: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float | None]:
+    """Return how many percent more geometry bits each codec takes than ours at the same D_d.
+
+    Empty where ours was not measured; None where the curves do not meet.
+    """
+    curves = {
+        name: [(f["bpp"]["geometry"], f["d_d"]) for f in errors.values() if f["frames"] and f["d_d"]]
+        for name, errors in baselines.items()
+    }
+    ours = curves.pop(OURS, [])
+    return {name: bd_rate(ours, curve) for name, curve in curves.items() if curve} if ours else {}
 
 
 def _figures(rows: pa.Table) -> dict[str, Any]:

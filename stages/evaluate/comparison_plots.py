@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from salpcc.stages.evaluate.baseline_figures import OURS
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.drawing import ACCENT, COLOURS, Plot, drawing, legend
 
-OURS = "salpcc"
 _EQUAL_ERROR = 0.01  # metres; the error at which times are compared
 _MARKERS = "osD^vP*X"
 

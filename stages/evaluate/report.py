@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from salpcc.stages.evaluate.aggregate import STREAMS, figures, total
-from salpcc.stages.evaluate.baseline_figures import baseline_figures
+from salpcc.stages.evaluate.baseline_figures import baseline_figures, bd_rates
 from salpcc.stages.evaluate.machine import describe_machine
 from salpcc.stages.evaluate.page import render_page
 from salpcc.stages.evaluate.pictures import Picture, scan_pictures
@@ -61,13 +61,15 @@ def collect(out: Path, metrics: pa.Table) -> dict[str, Any]:
         sequences[name] = figures(rows, _of(times, name), container)
         if baselines.num_rows:
             sequences[name]["baselines"] = baseline_figures(_of(baselines, name))
+    compared = baseline_figures(baselines)
     report = {
         "version": REPORT_VERSION,
         "run": recorded_run(out),
         "machine": describe_machine(),
         "sequences": sequences,
         "total": figures(metrics, times, containers),
-        "baselines": baseline_figures(baselines),
+        "baselines": compared,
+        "bd_rate_percent": bd_rates(compared),
         "failures": recorded(out, "failures").to_pylist(),
     }
     finite = _finite(report)

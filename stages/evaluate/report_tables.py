@@ -24,6 +24,8 @@ def all_tables(report: Report) -> list[Table]:
         tables.append(iou_table(report))
     if report["baselines"]:
         tables.append(baseline_table(report))
+        if report["bd_rate_percent"]:
+            tables.append(bd_rate_table(report))
         tables.append(published_table())
     if report["failures"]:
         tables.append(failure_table(report))
@@ -154,6 +156,20 @@ def baseline_table(report: Report) -> Table:
     return Table(
         "baselines", "Beside other codecs", columns, tuple(_baseline_row(*row) for row in rows), note
     )
+
+
+def bd_rate_table(report: Report) -> Table:
+    """Rate of the other codecs over ours at equal D_d."""
+    columns = (
+        Column("codec", "codec"),
+        Column("bd_rate", "geometry bits more than salpcc, %", "+.0f"),
+    )
+    rows = tuple({"codec": name, "bd_rate": rate} for name, rate in report["bd_rate_percent"].items())
+    note = (
+        "Bjøntegaard's delta rate over the D_d that both curves reach, one scan at a time; a dash: they reach "
+        "none in common."
+    )
+    return Table("bd_rate", "Rate at equal distortion", columns, rows, note)
 
 
 def published_table() -> Table:
