@@ -15,6 +15,7 @@ from salpcc.stages.evaluate.baselines.octree import OCTREE
 from salpcc.stages.evaluate.baselines.ours import SALPCC
 from salpcc.stages.evaluate.baselines.png import PNG
 from salpcc.stages.evaluate.baselines.ppmd import PPMD
+from salpcc.stages.evaluate.baselines.sun import SUN
 
 BASELINES: Mapping[str, Baseline] = {
     "salpcc": SALPCC,
@@ -25,6 +26,7 @@ BASELINES: Mapping[str, Baseline] = {
     "png": PNG,
     "hevc_intra": HEVC_INTRA,
     "feng": FENG,
+    "sun": SUN,
     "xz": XZ,
     "zstd": ZSTD,
     "brotli": BROTLI,
