@@ -1,0 +1,123 @@
+"""The Python door: indexing, iteration, pickling, forking, and no more decoding than needed."""
+
+import multiprocessing
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import salpcc.pipeline.archive as module
+from salpcc.pipeline import Archive, Scan, encode_scans
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.ingest.sources import SOURCES
+
+
+@pytest.fixture
+def path(done: Path) -> Path:
+    return done / "archives" / "00.mcap"  # five scans, two a GOP
+
+
+def originals(root: Path, sequence: str) -> list[Scan]:
+    source = SOURCES["semantickitti"]
+    return [source.read(ref, with_labels=False) for ref in source.scans(root, sequence)]
+
+
+def test_scans_come_back_bit_for_bit(path: Path, toy_root: Path) -> None:
+    with Archive.open(path) as archive:
+        assert len(archive) == 5 and archive.sequence == "00"
+        for scan, source in zip(archive, originals(toy_root, "00"), strict=True):
+            assert scan.points.tobytes() == source.points.tobytes()
+            assert scan.intensity.tobytes() == source.intensity.tobytes()
+            assert (scan.name, scan.time, scan.frame_id) == (source.name, source.time, "velodyne")
+
+
+def test_indices_are_those_of_a_sequence(path: Path) -> None:
+    archive = Archive.open(path)
+    assert [archive[i].name for i in (3, 0, -1, 2)] == ["000003", "000000", "000004", "000002"]
+    assert [scan.name for scan in archive[1:4]] == ["000001", "000002", "000003"]
+    assert archive.names == ["000000", "000001", "000002", "000003", "000004"]
+    for wrong in (5, -6):
+        with pytest.raises(IndexError):
+            archive[wrong]
+
+
+def test_random_access_decodes_one_gop_at_most(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded: list[bytes] = []
+    real = module.decode_gop
+
+    def spy(payloads: Any, sensor: Any) -> Iterator[Any]:
+        def counted() -> Iterator[bytes]:
+            for payload in payloads:
+                decoded.append(payload)
+                yield payload
+
+        return real(counted(), sensor)
+
+    monkeypatch.setattr(module, "decode_gop", spy)
+    archive = Archive.open(path)
+    assert len(decoded) == 0
+    archive[3]
+    assert len(decoded) == 2  # scans 2 and 3
+    archive[2], archive[3]
+    assert len(decoded) == 2  # both at hand
+    archive[4]
+    assert len(decoded) == 3
+
+
+def test_archive_can_be_pickled_in_the_middle_of_a_gop(path: Path) -> None:
+    archive = Archive.open(path)
+    archive[2]
+    copy = pickle.loads(pickle.dumps(archive))
+    assert copy[3].points.tobytes() == archive[3].points.tobytes()
+
+
+def _points(archive: Archive, index: int) -> bytes:
+    return archive[index].points.tobytes()
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_archive_works_in_other_processes(path: Path, method: str) -> None:
+    archive = Archive.open(path)
+    wanted = [_points(archive, i) for i in range(5)]
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        found = pool.starmap(_points, [(archive, i) for i in range(5)])
+    assert found == wanted
+
+
+def test_arrays_go_in_without_files(tmp_path: Path, toy_root: Path) -> None:
+    scans = originals(toy_root, "01")
+    path = encode_scans(iter(scans), tmp_path / "mine.mcap", gop=2)
+    archive = Archive.open(path)
+    assert [scan.points.tobytes() for scan in archive] == [scan.points.tobytes() for scan in scans]
+    assert archive.config["gop"] == 2 and archive.names == ["000000", "000001", "000007"]
+
+
+def test_arrays_of_any_sensor_keep_to_the_bound(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    points = rng.normal(0, 20, (500, 3)).astype(np.float32)
+    scan = Scan("cloud", points, rng.random(500).astype(np.float32))
+    archive = Archive.open(encode_scans([scan], tmp_path / "a.mcap", max_error=0.02))
+    error = np.linalg.norm(archive[0].points.astype(float) - points.astype(float), axis=1)
+    assert len(archive[0]) == 500 and error.max() <= 0.02
+    assert archive[0].intensity.tobytes() == scan.intensity.tobytes()
+
+
+def test_damage_is_an_error_with_the_name_of_the_file(path: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.mcap"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    bad.write_bytes(data)
+    with pytest.raises(ArchiveError, match=r"bad\.mcap"):
+        list(Archive.open(bad))
+
+
+def test_a_failed_decode_can_be_tried_again(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    archive = Archive.open(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "decode_gop", lambda payloads, sensor: iter(()))
+        with pytest.raises(ArchiveError, match="000000 is missing"):
+            archive[0]
+    assert archive[0].name == "000000"

@@ -1,0 +1,214 @@
+"""Runs: bytes that depend on the scans only, resuming, failures, and what is left behind."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from salpcc.pipeline import sequence, tasks
+from salpcc.pipeline.graph import GraphOptions
+from salpcc.pipeline.lock import locked
+from salpcc.pipeline.run import RunResult
+from salpcc.pipeline.verify import verify
+from salpcc.schemas.errors import LockedError, SalpccError
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+
+Run = Callable[..., RunResult]
+
+
+def archives(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (out / "archives").iterdir()}
+
+
+def test_report_has_what_the_contract_names(done: Path) -> None:
+    report = json.loads((done / "report" / "report.json").read_text())
+    assert set(report["sequences"]) == {"00", "01"}
+    figures = report["sequences"]["00"]
+    assert figures["frames"] == figures["bit_exact_scans"] == 5
+    assert figures["points_in"] == figures["points_kept"] == figures["points_decoded"] > 10000
+    assert figures["max_error_m"] == 0 and figures["points_dropped_movable"] == 0
+    assert figures["bytes"]["total"] == (done / "archives" / "00.mcap").stat().st_size
+    assert set(figures["bytes"]) >= {"geometry", "intensity", "classes", "side", "total"}
+    assert set(figures["ms_per_scan"]) == {"ingest", "segment", "ground_fit", "predict", "residual_code"}
+    assert figures["encode_ms_per_scan"] > 0 and figures["decode_ms_per_scan"] > 0
+    assert (done / "report" / "index.html").exists()
+
+
+def test_configuration_lies_beside_the_results(done: Path) -> None:
+    config = json.loads((done / "config.json").read_text())
+    assert config["gop"] == 2 and config["keep_movable"] is True and len(config["sensor_digest"]) == 64
+
+
+def test_intermediate_shards_are_gone(done: Path) -> None:
+    assert {path.name for path in (done / "shards" / "00").iterdir()} == {"evaluate"}
+
+
+def test_worker_processes_give_the_same_bytes(done: Path, toy_root: Path, tmp_path: Path, run: Run) -> None:
+    for workers in (1, 2):
+        assert not run(toy_root, tmp_path / str(workers), "00", "01", workers=workers).failed
+        assert archives(tmp_path / str(workers)) == archives(done)
+
+
+def test_second_run_does_nothing_again(
+    done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*.mcap")}
+    monkeypatch.setattr(tasks, "RUN", {})  # any stage that ran would break
+    monkeypatch.setattr(sequence, "evaluate", None)
+    result = run(toy_root, out, "00", "01")
+    assert not result.failed and result.report is not None
+    assert result.report["sequences"]["00"]["bit_exact_scans"] == 5
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*.mcap")} == before
+
+
+def test_changed_scan_or_configuration_is_done_again(
+    done: Path, toy_root: Path, tmp_path: Path, run: Run
+) -> None:
+    out, root = tmp_path / "out", tmp_path / "root"
+    shutil.copytree(done, out)
+    shutil.copytree(toy_root, root)
+    scan = root / "sequences" / "00" / "velodyne" / "000002.bin"
+    scan.write_bytes(scan.read_bytes()[:-16])
+    assert not run(root, out, "00", "01").failed
+    assert archives(out)["00.mcap"] != archives(done)["00.mcap"]
+    assert archives(out)["01.mcap"] == archives(done)["01.mcap"]
+    assert verify(out / "archives" / "00.mcap", root).bit_exact_scans == 5
+    run(toy_root, out, "00", max_error=0.01)
+    assert verify(out / "archives" / "00.mcap", toy_root).max_error_m <= 0.01  # type: ignore[operator]
+
+
+def test_damaged_archive_is_made_again(done: Path, toy_root: Path, tmp_path: Path, run: Run) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    whole = (out / "archives" / "00.mcap").read_bytes()
+    (out / "archives" / "00.mcap").write_bytes(whole[:-100])
+    assert not run(toy_root, out, "00").failed
+    assert (out / "archives" / "00.mcap").read_bytes() == whole
+
+
+def test_stages_can_be_run_one_by_one(done: Path, toy_root: Path, tmp_path: Path, run: Run) -> None:
+    result = run(toy_root, tmp_path, "00", graph=GraphOptions(last="segment"))
+    assert result.report is None and not (tmp_path / "archives").exists()
+    made = {path: path.stat().st_mtime_ns for path in (tmp_path / "shards").rglob("*.arrow")}
+    assert len(made) == 6  # three GOPs, two stages
+    run(
+        toy_root,
+        tmp_path,
+        "00",
+        graph=GraphOptions(first="ground_fit", last="residual_code", forced=True, keep_shards=True),
+    )
+    assert {path: path.stat().st_mtime_ns for path in made} == made  # reused, not made again
+    assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
+    run(toy_root, tmp_path, "00", graph=GraphOptions(first="segment", forced=True, keep_shards=True))
+    again = {path for path in made if path.stat().st_mtime_ns != made[path]}
+    assert {path.parent.name for path in again} == {"segment"} and len(again) == 3
+
+
+@pytest.fixture
+def damaged_root(toy_root: Path, tmp_path: Path) -> Path:
+    root = tmp_path / "root"
+    shutil.copytree(toy_root, root)
+    (root / "sequences/00/velodyne/000001.bin").write_bytes(bytes(1001))
+    (root / "sequences/00/velodyne/000004.bin").write_bytes(bytes(17))  # alone in its GOP
+    return root
+
+
+def test_failed_scans_cost_themselves_only(
+    damaged_root: Path, toy_root: Path, tmp_path: Path, run: Run
+) -> None:
+    for _ in range(2):  # the second time from the record of the first
+        result = run(damaged_root, tmp_path / "out", "00", "01", "33")
+        assert [(e.sequence, e.scan) for e in result.errors] == [
+            ("33", ""),
+            ("00", "000001"),
+            ("00", "000004"),
+        ]
+        assert result.report is not None and result.report["sequences"]["00"]["frames"] == 3
+    listed = json.loads((tmp_path / "out/report/report.json").read_text())["errors"]
+    assert "000001.bin: truncated" in json.dumps(listed)
+    verdict = verify(tmp_path / "out" / "archives" / "00.mcap", toy_root)
+    assert verdict.good and verdict.bit_exact_scans == 3
+
+
+def test_mended_scans_are_done_when_they_are_there(
+    damaged_root: Path, toy_root: Path, done: Path, tmp_path: Path, run: Run
+) -> None:
+    run(damaged_root, tmp_path / "out", "00")
+    assert not run(toy_root, tmp_path / "out", "00").failed
+    assert archives(tmp_path / "out")["00.mcap"] == archives(done)["00.mcap"]
+
+
+def test_a_stage_that_breaks_costs_its_gop_and_is_tried_again(
+    done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = tasks.RUN["predict"]
+
+    def breaks(task, planes, config):  # type: ignore[no-untyped-def]
+        if "000002" in task.column("name").to_pylist():
+            raise ZeroDivisionError("odd plane")
+        return real(task, planes, config)
+
+    with monkeypatch.context() as patch:
+        patch.setitem(tasks.RUN, "predict", breaks)
+        result = run(toy_root, tmp_path, "00")
+    assert [(e.scan, e.stage) for e in result.errors] == [("000002", "predict"), ("000003", "predict")]
+    assert "odd plane" in result.errors[0].reason
+    names = [[e.name for e in gop] for gop in ArchiveReader(tmp_path / "archives" / "00.mcap").gops]
+    assert names == [["000000", "000001"], [], ["000004"]]
+    assert not run(toy_root, tmp_path, "00").failed
+    assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
+
+
+def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(
+    done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = sequence.write_archive
+
+    def full(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(sequence, "write_archive", full)
+    with pytest.raises(SalpccError, match="No space left"):
+        run(toy_root, tmp_path, "00")
+    monkeypatch.setattr(sequence, "write_archive", real)
+    monkeypatch.setattr(tasks, "RUN", {})  # the shards are there
+    assert not run(toy_root, tmp_path, "00").failed
+    assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
+
+
+def test_two_runs_on_one_output_are_refused(toy_root: Path, tmp_path: Path, run: Run) -> None:
+    with locked(tmp_path), pytest.raises(LockedError, match="another run"):
+        run(toy_root, tmp_path, "00")
+
+
+def test_given_labels_drop_movables_and_count_them(toy_root: Path, tmp_path: Path, run: Run) -> None:
+    result = run(toy_root, tmp_path, "01", keep_movable=False, labels="given")
+    assert result.report is not None
+    figures = result.report["sequences"]["01"]
+    share = figures["points_dropped_movable"] / figures["points_in"]
+    assert 0.35 < share < 0.45  # cars and moving cars are 2 of 5 labels
+    assert (
+        figures["points_decoded"]
+        == figures["points_kept"]
+        == figures["points_in"] - figures["points_dropped_movable"]
+    )
+    verdict = verify(tmp_path / "archives" / "01.mcap", toy_root)
+    assert verdict.good and verdict.bit_exact_scans == 3
+    assert verdict.points_dropped == figures["points_dropped_movable"]
+
+
+@pytest.mark.parametrize("bound", [0.005, 0.02])
+def test_no_point_is_farther_than_asked(toy_root: Path, tmp_path: Path, run: Run, bound: float) -> None:
+    result = run(toy_root, tmp_path, "01", max_error=bound)
+    assert result.report is not None
+    assert 0 < result.report["sequences"]["01"]["max_error_m"] <= bound
+    assert verify(tmp_path / "archives" / "01.mcap", toy_root).good
+
+
+def test_a_baseline_is_measured_beside(toy_root: Path, tmp_path: Path, run: Run) -> None:
+    result = run(toy_root, tmp_path, "01", baselines=("xz",))
+    assert result.report is not None and "xz" in result.report["baselines"]

@@ -1,0 +1,76 @@
+"""The shard store and the lock."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+from salpcc.pipeline.lock import locked
+from salpcc.pipeline.store import ShardStore
+from salpcc.schemas.errors import LockedError, ShardError, UsageError
+
+TABLE = pa.table({"a": [1, 2, 3]})
+
+
+def test_shard_comes_back_with_its_facts(tmp_path: Path) -> None:
+    store = ShardStore(tmp_path)
+    ref = store.ref("04", "segment", 3, "ab" * 32)
+    assert ref.path == "04/segment/00003-abababababababab.arrow" and not store.has(ref)
+    store.write(ref, TABLE, {"stage": "segment"})
+    table, facts = store.read(ref)
+    assert table.to_pydict() == TABLE.to_pydict() and store.has(ref)
+    assert facts["stage"] == "segment" and facts["digest"] == ref.digest and "salpcc" in facts["tool"]
+    assert store.facts(ref) == facts
+
+
+@pytest.mark.parametrize("content", [b"", b"ARROW1", b"x" * 1000])
+def test_damaged_shard_names_itself(tmp_path: Path, content: bytes) -> None:
+    store = ShardStore(tmp_path)
+    ref = store.ref("04", "segment", 0, "0" * 64)
+    store.write(ref, TABLE, {})
+    (store.root / ref.path).write_bytes(content)
+    with pytest.raises(ShardError, match=r"00000-0000000000000000\.arrow"):
+        store.read(ref)
+
+
+def test_missing_shard_names_itself(tmp_path: Path) -> None:
+    store = ShardStore(tmp_path)
+    with pytest.raises(ShardError, match=r"00000-0000000000000000\.arrow"):
+        store.read(store.ref("04", "segment", 0, "0" * 64))
+
+
+def test_half_written_files_are_swept_and_shards_dropped(tmp_path: Path) -> None:
+    store = ShardStore(tmp_path)
+    kept, gone = store.ref("04", "evaluate", 0, "1" * 64), store.ref("04", "segment", 0, "2" * 64)
+    store.write(kept, TABLE, {})
+    store.write(gone, TABLE, {})
+    half = store.root / "04" / "segment" / ".x.arrow.123.part"
+    half.write_bytes(b"half")
+    store.sweep()
+    assert not half.exists() and store.has(gone)
+    store.drop_sequence("04", ["segment"])
+    assert store.has(kept) and not store.has(gone)
+
+
+def test_second_run_is_turned_away_and_the_lock_dies_with_its_process(tmp_path: Path) -> None:
+    code = (
+        "import sys, os\nfrom pathlib import Path\nfrom salpcc.pipeline.lock import locked\n"
+        "with locked(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.read()\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None and other.stdout.readline() == "held\n"
+        with pytest.raises(LockedError, match=f"process {other.pid}"), locked(tmp_path):
+            pass
+        other.kill()
+        other.wait()
+    with locked(tmp_path):
+        pass
+
+
+def test_output_that_cannot_be_made_is_wrong_use(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="cannot write"), locked(tmp_path / "file" / "out"):
+        pass
