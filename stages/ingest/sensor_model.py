@@ -69,18 +69,16 @@ class SensorModel:
 
     def to_json(self) -> str:
         """Write the model as canonical JSON; floats are written so that they read back exactly."""
-        lasers = [
-            {name: float(getattr(self, name)[k]) for name in _PER_LASER} | {"shift": int(self.shift[k])}
-            for k in range(self.n_lasers)
-        ]
-        document = {
+        document: dict[str, object] = {
             "version": _VERSION,
             "name": self.name,
             "ticks_per_turn": self.ticks_per_turn,
             "count": self.count,
-            "lasers": lasers,
+            "shift": self.shift.tolist(),
         }
-        return json.dumps(document, sort_keys=True, indent=1) + "\n"
+        document |= {name: getattr(self, name).tolist() for name in _PER_LASER}
+        lines = [f"{json.dumps(k)}:{json.dumps(v, separators=(',', ':'))}" for k, v in document.items()]
+        return "{" + ",\n".join(lines) + "}\n"
 
     @classmethod
     def from_json(cls, text: str | bytes) -> SensorModel:
@@ -93,21 +91,18 @@ class SensorModel:
             document = json.loads(text)
             if document["version"] > _VERSION:
                 raise SensorError(f"sensor model version {document['version']} is newer than {_VERSION}")
-            lasers = document["lasers"]
             model = cls(
                 name=str(document["name"]),
                 ticks_per_turn=int(document["ticks_per_turn"]),
                 count=float(document["count"]),
-                shift=np.array([int(laser["shift"]) for laser in lasers], np.int64),
-                **{
-                    name: np.array([float(laser[name]) for laser in lasers], np.float64)
-                    for name in _PER_LASER
-                },
+                shift=np.array([int(value) for value in document["shift"]], np.int64),
+                **{name: np.array([float(v) for v in document[name]], np.float64) for name in _PER_LASER},
             )
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise SensorError(f"not a sensor model: {error!r}") from error
         sound = (
             1 <= model.n_lasers <= _MAX_LASERS
+            and all(len(getattr(model, name)) == model.n_lasers for name in (*_PER_LASER, "shift"))
             and 1 <= model.ticks_per_turn <= _MAX_TICKS
             and 0 < model.count < 1
             and bool(np.isfinite(model.parameters).all())
