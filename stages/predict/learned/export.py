@@ -21,7 +21,9 @@ def _scale(weight: F64, bias: F64) -> float:
     return float(2.0 ** min(_FINEST, np.floor(np.log2((_ROOM - rounding) / reach))))
 
 
-def quantize_network(layers: list[tuple[F64, F64]], tables: list[F64], last_table: F64 | None = None) -> Network:
+def quantize_network(
+    layers: list[tuple[F64, F64]], tables: list[F64], last_table: F64 | None = None
+) -> Network:
     """Round float weights.
 
     ``layers`` are (weight (inputs, outputs), bias (outputs,)); ``tables`` (rows, width) add to the
@@ -36,13 +38,14 @@ def quantize_network(layers: list[tuple[F64, F64]], tables: list[F64], last_tabl
     biases.append(np.abs(last_bias).max(0))
     scales = [_scale(weight, bias) for (weight, _), bias in zip(layers, biases, strict=True)]
     whole = [
-        np.ascontiguousarray(np.rint(weight * s), np.float32) for (weight, _), s in zip(layers, scales, strict=True)
+        np.ascontiguousarray(np.rint(weight * s), np.float32)
+        for (weight, _), s in zip(layers, scales, strict=True)
     ]
     hidden_bias = [np.rint(bias * s * SCALE) for (_, bias), s in zip(layers[1:-1], scales[1:-1], strict=True)]
     return Network(
         first=whole[0],
         tables=np.rint(stacked * scales[0] * SCALE).astype(np.float32),
-        hidden=np.stack(whole[1:-1]),
+        hidden=np.concatenate(whole[1:-1]),
         hidden_bias=np.stack(hidden_bias).astype(np.float32),
         last=whole[-1],
         last_bias=np.rint(last_bias * scales[-1] * SCALE).astype(np.float32),

@@ -16,15 +16,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 PAD = 8
-PREDICTORS = 14
+PREDICTORS = 10
 LEFT, UPPER, SECOND = 8, 10, 6
 SLOTS = 24
-INPUTS = 84
+INPUTS = 72
 SCALE = 128.0  # one unit of a feature, in steps of the integer network
 LIMIT = 1023.0
 
-WORK = 192  # scratch of point_features, float32
-_U, _UU, _D, _UD, _P, _W, _O, _Q = 0, 24, 48, 72, 96, 120, 144, 168
+WORK = 168  # scratch of point_features, float32
+_U, _UU, _D, _UD, _P, _W, _Q = 0, 24, 48, 72, 96, 120, 144
 
 _TICKS = np.float32(4000.0)
 _TICKS_PER_RADIAN = np.float32(636.6197723675814)
@@ -32,12 +32,13 @@ _NEAR, _FAR = np.float32(2.0), np.float32(1.0 / 125.0)  # bounds of a predicted 
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _UNIT = np.float32(1.0 / 16.0)  # of a difference, per count
 _SCALE, _LIMIT = np.float32(SCALE), np.float32(LIMIT)
-_NINTH = np.float32(1.0 / 9.0)
-_FAR_SLOT = np.float32(1.0 / 49.0)
+_SLOT_DECAY = np.float32(1.0 / 16.0)
 _GAP = np.float32(8.0)
 _EDGE, _SPAN = np.float32(0.06), np.float32(16.0)
-_WIDE, _TIGHT = np.float32(0.03), np.float32(0.004)
-_RIDGE_U, _RIDGE_V = np.float32(0.08), np.float32(0.02)
+_WIDE, _TIGHT = np.float32(0.02), np.float32(0.001)  # tolerances of the planes, of the inverse range
+_WIDE_UP = np.float32(0.05)
+_NOISE = np.float32(0.02)  # and of its square, m
+_RIDGE_U, _RIDGE_V = np.float32(0.02), np.float32(0.005)
 _TINY = np.float32(1e-9)
 _NO_ERROR = np.float32(1.5)
 
@@ -70,7 +71,15 @@ def close_ring(azimuth: F32, inverse: F32, error: F32, n: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def align(
-    azimuth: F32, inverse: F32, n: int, lever: np.float32, current: F32, m: int, frame: F32, index: I32, value: F32
+    azimuth: F32,
+    inverse: F32,
+    n: int,
+    lever: np.float32,
+    current: F32,
+    m: int,
+    frame: F32,
+    index: I32,
+    value: F32,
 ) -> None:
     """Move a coded ring into the frame of the current one and interpolate it at the current azimuths.
 
@@ -211,73 +220,55 @@ def point_features(
     second = value2[i] if has2 else up
     shift1 = up - w1
     shift2 = second - w1
-    az = azimuth[c - LEFT : c]
-    w = inverse[c - LEFT : c]
+    o = c - LEFT
     for k in range(LEFT):
-        u = (az[k] - a) * _HALF
+        u = (azimuth[np.uint64(o + k)] - a) * _HALF
         work[_U + k] = u
-        work[_D + k] = w[k] - w1
-        work[_O + k] = w[k] - w1
-        work[_P + k] = _ONE / (_ONE + u * u * _NINTH)
+        d = inverse[np.uint64(o + k)] - w1
+        work[_D + k] = d
+        work[_P + k] = _ONE / (_ONE + u * u * _SLOT_DECAY)
     for k in range(LEFT - n_left):
         work[_D + k] = _ZERO
-        work[_O + k] = _ZERO
         work[_P + k] = _ZERO
     j1 = index1[i]
     if has1:
-        f1 = frame1[j1 - UPPER // 2 + 1 : j1 + UPPER // 2 + 1]
-        w = inverse1[j1 - UPPER // 2 + 1 : j1 + UPPER // 2 + 1]
+        o = j1 - UPPER // 2 + 1
         for k in range(UPPER):
-            u = (f1[k] - a) * _HALF
-            d = w[k] - w1
+            u = (frame1[np.uint64(o + k)] - a) * _HALF
+            d = inverse1[np.uint64(o + k)] - w1
             work[_U + LEFT + k] = u
             work[_D + LEFT + k] = d
-            work[_O + LEFT + k] = d - shift1
-            work[_P + LEFT + k] = _ONE / (_ONE + u * u * _NINTH)
+            work[_P + LEFT + k] = _ONE / (_ONE + u * u * _SLOT_DECAY)
     else:
         for k in range(UPPER):
             work[_U + LEFT + k] = _ZERO
             work[_D + LEFT + k] = _ZERO
-            work[_O + LEFT + k] = _ZERO
             work[_P + LEFT + k] = _ZERO
     j2 = index2[i]
     if has2:
-        f2 = frame2[j2 - SECOND // 2 + 1 : j2 + SECOND // 2 + 1]
-        w = inverse2[j2 - SECOND // 2 + 1 : j2 + SECOND // 2 + 1]
+        o = j2 - SECOND // 2 + 1
         for k in range(SECOND):
-            u = (f2[k] - a) * _HALF
-            d = w[k] - w1
+            u = (frame2[np.uint64(o + k)] - a) * _HALF
+            d = inverse2[np.uint64(o + k)] - w1
             work[_U + LEFT + UPPER + k] = u
             work[_D + LEFT + UPPER + k] = d
-            work[_O + LEFT + UPPER + k] = d - shift2
-            work[_P + LEFT + UPPER + k] = _HALF / (_ONE + u * u * _NINTH)
+            work[_P + LEFT + UPPER + k] = _HALF / (_ONE + u * u * _SLOT_DECAY)
     else:
         for k in range(SECOND):
             work[_U + LEFT + UPPER + k] = _ZERO
             work[_D + LEFT + UPPER + k] = _ZERO
-            work[_O + LEFT + UPPER + k] = _ZERO
             work[_P + LEFT + UPPER + k] = _ZERO
 
     for k in range(SLOTS):
         work[_UU + k] = work[_U + k] * work[_U + k]
         work[_UD + k] = work[_U + k] * work[_D + k]
-    noise = _WIDE * w1 * w1
-    tolerance = _ONE / (_WIDE * w1 + noise)
+    noise = _NOISE * w1 * w1
     tight = _ONE / (_TIGHT * w1 + noise)
-    _weigh(work, _D, shift1, tolerance)
-    plane_up, b, g, _ = _plane(work, height2)
-    plane_up2, _, _, sum_up = _refit(work, height2, plane_up, b, g, tight)
-    _weigh(work, _O, _ZERO, tolerance)
-    plane_own, b, g, _ = _plane(work, height2)
-    plane_own2, _, _, sum_own = _refit(work, height2, plane_own, b, g, tight)
-    _weigh(work, _D, _ZERO, tolerance)
-    plane_left, b, g, _ = _plane(work, height2)
+    _weigh(work, _D, shift1, _ONE / (_WIDE_UP * w1 + noise))
+    plane_up, _, _, sum_up = _plane(work, height2)
+    _weigh(work, _D, _ZERO, _ONE / (_WIDE * w1 + noise))
+    plane_left, b, g, sum_left = _plane(work, height2)
     plane_tight, slope_u, slope_v, sum_tight = _refit(work, height2, plane_left, b, g, tight)
-    for k in range(SLOTS):
-        q = work[_Q + k] * tight
-        q = _ONE + q * q
-        work[_W + k] = (_ONE / (_ONE + work[_UU + k] * _FAR_SLOT) if work[_P + k] > _ZERO else _ZERO) / (q * q)
-    plane_wide, _, _, _ = _plane(work, height2)
     base = min(max(w1 + plane_tight, _FAR), _NEAR)
 
     mu[0] = w1
@@ -287,8 +278,8 @@ def point_features(
     mu[4] = w1
     mu[6] = up
     if n_left >= 2:
-        span = max(az[LEFT - 1] - az[LEFT - 2], _ONE)
-        mu[1] = w1 - work[_D + LEFT - 2] * ((a - az[LEFT - 1]) / span)
+        span = max(azimuth[c - 1] - azimuth[c - 2], _ONE)
+        mu[1] = w1 - work[_D + LEFT - 2] * ((a - azimuth[c - 1]) / span)
     mu[5] = up + (up - second) / max(height2 - _ONE, np.float32(0.25))
     if n_left >= 4:
         mu[2] = w1 + (work[_D + LEFT - 2] - work[_D + LEFT - 4]) * _HALF
@@ -298,12 +289,8 @@ def point_features(
         g = (work[_D + LEFT - 2] + work[_D + LEFT - 3]) + work[_D + LEFT - 4]
         v = (value1[i - 1] + value1[i - 2]) + (value1[i - 3] + value1[i - 4])
         mu[6] = w1 + (up + (g - v) * np.float32(0.25))
-    mu[7] = w1 + plane_left
-    mu[8] = w1 + plane_up
-    mu[9] = w1 + plane_own
-    mu[10] = w1 + plane_own2
-    mu[11] = w1 + plane_up2
-    mu[12] = w1 + plane_wide
+    mu[7] = w1 + plane_up
+    mu[8] = w1 + plane_left
     for p in range(PREDICTORS - 1):
         mu[p] = quotient / min(max(mu[p], _FAR), _NEAR) - offset
     centre = quotient / base - offset
@@ -325,7 +312,7 @@ def point_features(
     o += SLOTS
     x[o] = slope_u * per_w
     x[o + 1] = slope_v * per_w
-    x[o + 2] = (a - az[LEFT - 1]) * _HALF - _ONE if n_left > 0 else _GAP
+    x[o + 2] = (a - azimuth[c - 1]) * _HALF - _ONE if n_left > 0 else _GAP
     x[o + 3] = (azimuth[c + 1] - a) * _HALF - _ONE if i + 1 < m else _ZERO
     x[o + 4] = (a - frame1[j1]) * _HALF if has1 else _GAP
     x[o + 5] = (frame1[j1 + 1] - a) * _HALF if has1 else _GAP
@@ -353,17 +340,18 @@ def point_features(
     x[o + 5] = step
     quarter = np.float32(0.25)
     x[o + 6] = sum_tight * quarter
-    x[o + 7] = sum_own * quarter
+    x[o + 7] = sum_left * quarter
     x[o + 8] = sum_up * quarter
     for k in range(INPUTS):
         x[k] = min(max(np.floor(x[k] * _SCALE + _HALF), -_LIMIT), _LIMIT)
 
 
 @njit(cache=True, error_model="numpy")
-def note_errors(actual: np.float32, mu: F32, error0: F32, row: F32) -> None:
+def note_errors(actual: np.float32, mu: F32, error0: F32, error: F32, place: int) -> None:
     """Record how far each predictor was from ``actual`` counts, for the features of later returns."""
     for p in range(PREDICTORS):
-        row[p] = abs(mu[p] - actual) * _UNIT
-    squash(row, PREDICTORS)
-    for p in range(PREDICTORS):
-        error0[p] = _HALF * (error0[p] + row[p])
+        e = abs(mu[p] - actual) * _UNIT
+        e = e / np.sqrt(_ONE + e)
+        e = e / np.sqrt(_ONE + e)
+        error[np.uint64(place), p] = e
+        error0[p] = _HALF * (error0[p] + e)

@@ -30,8 +30,8 @@ class Network:
     for intensity, by the nearest intensities; the last layer's bias is a row of ``last_bias``.
 
     Attributes:
-        first: ``(inputs, width)``; tables: ``(tables, rows, width)``; hidden: ``(layers, width,
-        width)`` and hidden_bias ``(layers, width)``; last: ``(width, outputs)``; last_bias:
+        first: ``(inputs, width)``; tables: ``(tables, rows, width)``; hidden: ``(layers *
+        width, width)`` and hidden_bias ``(layers, width)``; last: ``(width, outputs)``; last_bias:
         ``(lasers, outputs)``; scales: ``(layers + 2,)``.
     """
 
@@ -46,6 +46,12 @@ class Network:
     def arrays(self) -> tuple[F32, F32, F32, F32, F32, F32, F32]:
         """All arrays in the order the kernels take them."""
         return self.first, self.tables, self.hidden, self.hidden_bias, self.last, self.last_bias, self.scales
+
+    @classmethod
+    def empty(cls, inputs: int, outputs: int) -> Network:
+        """A network of width 4 that answers 0 (for collecting training rows)."""
+        shapes = ((inputs, 4), (3, 101, 4), (4, 4), (1, 4), (4, outputs), (64, outputs), (3,))
+        return cls(*(np.zeros(shape, np.float32) for shape in shapes))
 
     @property
     def digest(self) -> str:
@@ -78,23 +84,32 @@ def check(network: Network) -> None:
         (network.first, np.abs(network.tables).max(1).sum(0)),
         (network.last, np.abs(network.last_bias).max(0)),
     ]
-    layers += [(w, np.abs(b)) for w, b in zip(network.hidden, network.hidden_bias, strict=True)]
+    layers += [
+        (w, np.abs(b))
+        for w, b in zip(np.split(network.hidden, len(network.hidden_bias)), network.hidden_bias, strict=True)
+    ]
     for weight, bias in layers:
         reach = np.abs(weight).astype(np.float64).sum(0) * LIMIT + bias
         if reach.max() >= 2.0**24 or (weight != np.floor(weight)).any():
-            raise SalpccError("network weights are not exact in float32: export them again with smaller scales")
+            raise SalpccError(
+                "network weights are not exact in float32: export them again with smaller scales"
+            )
 
 
 @njit(cache=True, error_model="numpy")
-def _layer(weight: F32, x: F32, n: int, acc: F32) -> None:
-    """Add ``x[:n] @ weight`` to ``acc``; n is a multiple of 4."""
+def _layer(weight: F32, row: int, x: F32, n: int, acc: F32) -> None:
+    """Add ``x[:n] @ weight[row : row + n]`` to ``acc``; n is a multiple of 4."""
     m = weight.shape[1]
     for k in range(0, n, 4):
         x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
+        r0, r1, r2, r3 = (
+            np.uint64(row + k),
+            np.uint64(row + k + 1),
+            np.uint64(row + k + 2),
+            np.uint64(row + k + 3),
+        )
         for j in range(m):
-            acc[j] += (weight[k, j] * x0 + weight[k + 1, j] * x1) + (
-                weight[k + 2, j] * x2 + weight[k + 3, j] * x3
-            )
+            acc[j] += (weight[r0, j] * x0 + weight[r1, j] * x1) + (weight[r2, j] * x2 + weight[r3, j] * x3)
 
 
 @njit(cache=True, error_model="numpy")
@@ -126,19 +141,17 @@ def forward(
     ``acc`` holds the first layer's bias on entry; ``h`` is scratch of the same width.
     """
     width = first.shape[1]
-    _layer(first, x, len(x), acc)
+    _layer(first, 0, x, len(x), acc)
     _activate(acc, width, scales[0], h)
-    for layer in range(hidden.shape[0]):
-        bias = hidden_bias[layer]
+    for layer in range(hidden_bias.shape[0]):
         for j in range(width):
-            acc[j] = bias[j]
-        _layer(hidden[layer], h, width, acc)
+            acc[j] = hidden_bias[layer, j]
+        _layer(hidden, layer * width, h, width, acc)
         _activate(acc, width, scales[1 + layer], h)
-    bias = last_bias[laser]
     n = last.shape[1]
     for j in range(n):
-        out[j] = bias[j]
-    _layer(last, h, width, out)
+        out[j] = last_bias[np.uint64(laser), j]
+    _layer(last, 0, h, width, out)
     inverse = np.float32(1.0) / (scales[len(scales) - 1] * np.float32(SCALE))
     for j in range(n):
         out[j] *= inverse

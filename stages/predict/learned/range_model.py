@@ -1,4 +1,8 @@
-"""Code the ranges of a sweep with the learned mixture; encoder and decoder are one walk."""
+"""Code the range levels of a sweep with the learned mixture; encoder and decoder are one walk.
+
+Stream: the number of levels (3 bytes, little endian), then one interval of 2 ** 24 per return in
+firing order, coded by :mod:`salpcc.stages.residual_code.range_coder`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import SalpccError
+from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned.features import (
     INPUTS,
     PAD,
@@ -17,16 +21,9 @@ from salpcc.stages.predict.learned.features import (
     note_errors,
     point_features,
 )
-from salpcc.stages.predict.learned.mixture import (
-    BITS,
-    COMPONENTS,
-    TOTAL,
-    find_level,
-    level_start,
-    set_mixture,
-)
+from salpcc.stages.predict.learned.mixture import BITS, COMPONENTS, find_level, level_start, set_mixture
 from salpcc.stages.predict.learned.network import Network, forward
-from salpcc.stages.predict.learned.sweep_walk import height_ratio, laser_constants, step_feature
+from salpcc.stages.predict.learned.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
 from salpcc.stages.residual_code.range_coder import (
     decode_interval,
     decode_target,
@@ -36,186 +33,167 @@ from salpcc.stages.residual_code.range_coder import (
     start_encoder,
 )
 
-LEVEL_LIMIT = 1 << 17
+LEVEL_LIMIT = 1 << 17  # levels of a sweep; a return beyond cannot be coded here
 _HEADER = 3
+_NO_KEEP = np.zeros(0, np.bool_)
+_NO_ROWS = (np.zeros((0, 0), np.int16), np.zeros((0, 0), np.float32), np.zeros(0, np.float32))
+ENCODE, DECODE, COLLECT = 0, 1, 2
 
 
 @njit(cache=True, error_model="numpy")
-def _walk(  # type: ignore[no-untyped-def]
-    decoding,
-    ring_start,
-    tick,
-    level,
-    step,
-    levels,
-    constants,
-    lever,
-    first,
-    tables,
-    hidden,
-    hidden_bias,
-    last,
-    last_bias,
-    scales,
-    state,
-    data,
-):
-    """Encode ``level`` into ``data`` or decode it from there."""
-    n_rings = len(ring_start) - 1
-    longest = 0
-    for k in range(n_rings):
-        longest = max(longest, ring_start[k + 1] - ring_start[k])
-    size = longest + 2 * PAD
+def walk(  # type: ignore[no-untyped-def]
+    mode, starts, tick, level, step, levels, constants,
+    first, tables, hidden, hidden_bias, last, last_bias, scales, state, data,
+    keep, rows_x, rows_mu, rows_y,
+):  # fmt: skip
+    """Visit every return in firing order: encode ``level`` into ``data``, decode it, or collect rows.
+
+    COLLECT fills one training row per return with ``keep`` set: features, predictions and the actual
+    count, both relative to the last predictor, in counts. Returns the number of rows.
+    """
+    size = longest_ring(starts) + 2 * PAD
     azimuth = np.zeros((3, size), np.float32)
     inverse = np.zeros((3, size), np.float32)
     error = np.zeros((3, size, PREDICTORS), np.float32)
     count = np.zeros(3, np.int64)
-    frame1 = np.zeros(size, np.float32)
-    frame2 = np.zeros(size, np.float32)
-    index1 = np.zeros(longest, np.int32)
-    index2 = np.zeros(longest, np.int32)
-    value1 = np.zeros(longest, np.float32)
-    value2 = np.zeros(longest, np.float32)
+    frame1, frame2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    index1, index2 = np.zeros(size, np.int32), np.zeros(size, np.int32)
+    value1, value2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
     error0 = np.zeros(PREDICTORS, np.float32)
     work = np.zeros(WORK, np.float32)
     x = np.zeros(INPUTS, np.float32)
     mu = np.zeros(PREDICTORS, np.float32)
-    h = np.zeros(first.shape[1], np.float32)
-    acc = np.zeros(first.shape[1], np.float32)
+    h, acc = np.zeros(first.shape[1], np.float32), np.zeros(first.shape[1], np.float32)
     out = np.zeros(last.shape[1], np.float32)
     mix = np.zeros((3, COMPONENTS))
-    sf = np.float32(step_feature(step))
+    step_value = np.float32(step_feature(step))
     middle = np.float32((step - 1) * 0.5)
-    for k in range(n_rings):
+    rows = 0
+    for k in range(len(starts) - 1):
         r0, r1, r2 = k % 3, (k + 2) % 3, (k + 1) % 3
-        lo = ring_start[k]
-        m = ring_start[k + 1] - lo
+        lo = starts[k]
+        m = starts[k + 1] - lo
         count[r0] = m
         if m == 0:
             continue
-        q, off, turn = constants[k, 0], constants[k, 1], constants[k, 3]
+        places, here, errors = azimuth[r0], inverse[r0], error[r0]
+        above, errors1, second = inverse[r1], error[r1], inverse[r2]
+        quotient, offset, turn, lever = constants[k, 0], constants[k, 1], constants[k, 3], constants[k, 4]
         for i in range(m):
-            azimuth[r0, PAD + i] = np.float32(tick[lo + i]) + turn
+            places[PAD + i] = np.float32(tick[lo + i]) + turn
         has1 = k >= 1 and count[r1] > 0
         has2 = k >= 2 and count[r2] > 0 and has1
         if has1:
-            align(
-                azimuth[r1],
-                inverse[r1],
-                count[r1],
-                lever[k - 1] - lever[k],
-                azimuth[r0],
-                m,
-                frame1,
-                index1,
-                value1,
-            )
+            arm = constants[k - 1, 4] - lever
+            align(azimuth[r1], above, count[r1], arm, places, m, frame1, index1, value1)
         if has2:
-            align(
-                azimuth[r2],
-                inverse[r2],
-                count[r2],
-                lever[k - 2] - lever[k],
-                azimuth[r0],
-                m,
-                frame2,
-                index2,
-                value2,
-            )
-        ratio = np.float32(height_ratio(constants[:, 2], k))
+            arm = constants[k - 2, 4] - lever
+            align(azimuth[r2], second, count[r2], arm, places, m, frame2, index2, value2)
+        height2 = np.float32(height_ratio(constants, k))
         error0[:] = np.float32(1.5)
         for i in range(m):
             point_features(
-                i,
-                m,
-                azimuth[r0],
-                inverse[r0],
-                frame1,
-                inverse[r1],
-                error[r1],
-                index1,
-                value1,
-                has1,
-                frame2,
-                inverse[r2],
-                index2,
-                value2,
-                has2,
-                ratio,
-                q,
-                off,
-                sf,
-                error0,
-                work,
-                x,
-                mu,
-            )
-            for j in range(len(acc)):
-                acc[j] = tables[0, k, j]
-            forward(x, k, first, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
-            n = set_mixture(out, mu, mix)
-            if decoding:
-                target = decode_target(state, BITS)
-                value, low, high = find_level(mix, n, target, step, levels)
-                decode_interval(state, data, low, high - low, BITS)
-                level[lo + i] = value
+                i, m, places, here, frame1, above, errors1, index1, value1, has1,
+                frame2, second, index2, value2, has2, height2, quotient, offset, step_value,
+                error0, work, x, mu,
+            )  # fmt: skip
+            value = np.int64(0)
+            if mode == COLLECT:
+                value = np.int64(level[lo + i])
             else:
-                value = level[lo + i]
-                low = level_start(mix, n, value, step, levels)
-                high = level_start(mix, n, value + 1, step, levels)
-                encode_interval(state, data, low, high - low, BITS)
+                for j in range(len(acc)):
+                    acc[j] = tables[0, k, j]
+                forward(x, k, first, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
+                n = set_mixture(out, mu, mix)
+                if mode == DECODE:
+                    value, low, high = find_level(mix, n, decode_target(state, BITS), step, levels)
+                    decode_interval(state, data, low, high - low, BITS)
+                    level[lo + i] = value
+                else:
+                    value = np.int64(level[lo + i])
+                    low = level_start(mix, n, value, step, levels)
+                    high = level_start(mix, n, value + 1, step, levels)
+                    encode_interval(state, data, low, high - low, BITS)
             actual = np.float32(value * step) + middle
-            inverse[r0, PAD + i] = q / max(actual + off, np.float32(1.0))
-            note_errors(actual, mu, error0, error[r0, PAD + i])
-        close_ring(azimuth[r0], inverse[r0], error[r0], m)
+            here[PAD + i] = quotient / max(actual + offset, np.float32(1.0))
+            note_errors(actual, mu, error0, errors, PAD + i)
+            if mode == COLLECT and keep[lo + i]:
+                for p in range(INPUTS):
+                    rows_x[rows, p] = np.int16(x[p])
+                for p in range(PREDICTORS):
+                    rows_mu[rows, p] = mu[p] - mu[PREDICTORS - 1]
+                rows_y[rows] = actual - mu[PREDICTORS - 1]
+                rows += 1
+        close_ring(places, here, errors, m)
+    return rows
 
 
-def encode_ranges(ring_start, tick, level, step, sensor, network) -> NDArray[np.uint8]:  # type: ignore[no-untyped-def]
-    """Return the bytes of a sweep's range levels."""
+def encode_ranges(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    level: NDArray[np.int32],
+    step: int,
+    sensor: SensorModel,
+    network: Network,
+    out: NDArray[np.uint8],
+) -> int:
+    """Encode levels ``(M,)`` in firing order into ``out``; return the bytes written, -1 if it is too small.
+
+    Raises:
+        ValueError: a level outside ``[0, LEVEL_LIMIT)``.
+    """
     levels = int(level.max()) + 1 if len(level) else 1
-    if levels > LEVEL_LIMIT or (len(level) and level.min() < 0):
-        raise SalpccError("range levels outside 0..131071")
-    data = np.zeros(len(level) * 4 + 64, np.uint8)
+    if levels > LEVEL_LIMIT or (len(level) and int(level.min()) < 0):
+        raise ValueError(f"range levels must lie in 0..{LEVEL_LIMIT - 1}")
+    if len(out) < _HEADER:
+        return -1
+    out[:_HEADER] = np.frombuffer(levels.to_bytes(_HEADER, "little"), np.uint8)
     state = start_encoder()
-    constants = laser_constants(sensor["theta"], sensor["phi0"], sensor["d0"])
-    _walk(
-        False,
-        ring_start,
-        tick,
-        level,
-        step,
-        levels,
-        constants,
-        sensor["h"],
-        *network.arrays(),
-        state,
-        data,
-    )
-    size = finish_encoder(state, data)
-    if size < 0:
-        raise SalpccError("range coder: buffer too small")
-    return np.concatenate([np.frombuffer(levels.to_bytes(_HEADER, "little"), np.uint8), data[:size]])
+    body = out[_HEADER:]
+    walk(
+        ENCODE, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), state, body,
+        _NO_KEEP, *_NO_ROWS,
+    )  # fmt: skip
+    written = int(finish_encoder(state, body))
+    return written + _HEADER if written >= 0 else -1
 
 
-def decode_ranges(ring_start, tick, data, step, sensor, network) -> NDArray[np.int32]:  # type: ignore[no-untyped-def]
-    """Return the range levels; inverse of :func:`encode_ranges`."""
-    levels = int.from_bytes(data[:_HEADER].tobytes(), "little")
-    if not 1 <= levels <= LEVEL_LIMIT:
-        raise SalpccError("range levels damaged")
+def decode_ranges(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    step: int,
+    sensor: SensorModel,
+    network: Network,
+    data: NDArray[np.uint8],
+) -> tuple[NDArray[np.int32], bool]:
+    """Return the levels ``(M,)`` int32 and whether the data sufficed; inverse of :func:`encode_ranges`."""
     level = np.zeros(len(tick), np.int32)
-    body = data[_HEADER:]
-    constants = laser_constants(sensor["theta"], sensor["phi0"], sensor["d0"])
-    _walk(
-        True,
-        ring_start,
-        tick,
-        level,
-        step,
-        levels,
-        constants,
-        sensor["h"],
-        *network.arrays(),
-        start_decoder(body),
-        body,
-    )
-    return level
+    levels = int.from_bytes(data[:_HEADER].tobytes(), "little")
+    if len(data) < _HEADER or not 1 <= levels <= LEVEL_LIMIT:
+        return level, False
+    body = np.ascontiguousarray(data[_HEADER:])
+    state = start_decoder(body)
+    walk(
+        DECODE, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), state, body,
+        _NO_KEEP, *_NO_ROWS,
+    )  # fmt: skip
+    return level, bool(state[3] == 0)
+
+
+def collect_ranges(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    level: NDArray[np.int32],
+    step: int,
+    sensor: SensorModel,
+    keep: NDArray[np.bool_],
+) -> tuple[NDArray[np.int16], NDArray[np.float32], NDArray[np.float32]]:
+    """Return training rows of the returns in ``keep``: features, predictions, target (see :func:`walk`)."""
+    n = int(keep.sum())
+    x, mu, y = np.zeros((n, INPUTS), np.int16), np.zeros((n, PREDICTORS), np.float32), np.zeros(n, np.float32)
+    none = Network.empty(INPUTS, 4)
+    walk(
+        COLLECT, starts, tick, level, step, 1, laser_constants(sensor), *none.arrays(), start_encoder(),
+        np.zeros(1, np.uint8), keep, x, mu, y,
+    )  # fmt: skip
+    return x, mu, y

@@ -1,0 +1,273 @@
+"""Code the intensities (0..100) of a sweep whose ranges are known; encoder and decoder are one walk.
+
+Stream: one interval of 2 ** 24 per return in firing order. The network's 101 logits become integer
+frequencies; their running sums, scaled to 2 ** 24, are the intervals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.predict.learned.features import PAD, align
+from salpcc.stages.predict.learned.intensity_features import INPUTS, SLOTS, VALUES, intensity_features
+from salpcc.stages.predict.learned.network import Network, forward
+from salpcc.stages.predict.learned.sweep_walk import laser_constants, longest_ring
+from salpcc.stages.residual_code.range_coder import (
+    decode_interval,
+    decode_target,
+    encode_interval,
+    finish_encoder,
+    start_decoder,
+    start_encoder,
+)
+
+BITS = 24
+OUTPUTS = 104  # 101 values, padded
+ENCODE, DECODE, COLLECT = 0, 1, 2
+_ONE, _ZERO = np.float32(1.0), np.float32(0.0)
+_FINE = np.float32(16384.0)
+_LINK = np.float32(1.0 / 16.0)
+_NO_KEEP = np.zeros(0, np.bool_)
+_NO_ROWS = (np.zeros((0, 0), np.int16), np.zeros((0, 0), np.uint8))
+
+
+@njit(cache=True, error_model="numpy")
+def place_rings(starts, tick, level, step, constants):  # type: ignore[no-untyped-def]
+    """Azimuths and inverse ranges of all rings, each at ``[PAD, PAD + n)`` of its row, margins cyclic."""
+    n_rings = len(starts) - 1
+    size = longest_ring(starts) + 2 * PAD
+    azimuth = np.zeros((n_rings, size), np.float32)
+    inverse = np.ones((n_rings, size), np.float32)
+    middle = np.float32((step - 1) * 0.5)
+    for k in range(n_rings):
+        lo = starts[k]
+        m = starts[k + 1] - lo
+        for i in range(m):
+            azimuth[k, PAD + i] = np.float32(tick[lo + i]) + constants[k, 3]
+            distance = np.float32(level[lo + i] * step) + middle + constants[k, 1]
+            inverse[k, PAD + i] = constants[k, 0] / max(distance, _ONE)
+        if m:
+            for p in range(PAD):
+                left, right = PAD + m - 1 - p % m, PAD + p % m
+                turns = np.float32(4000.0) * np.float32(1 + p // m)
+                azimuth[k, PAD - 1 - p] = azimuth[k, left] - turns
+                inverse[k, PAD - 1 - p] = inverse[k, left]
+                azimuth[k, PAD + m + p] = azimuth[k, right] + turns
+                inverse[k, PAD + m + p] = inverse[k, right]
+    return azimuth, inverse
+
+
+@njit(cache=True, error_model="numpy")
+def frequencies(out, freq):  # type: ignore[no-untyped-def]
+    """Turn logits into integer frequencies, each at least 1: (1 + l / 16)^16 stands in for exp(l)."""
+    largest = out[0]
+    for v in range(1, VALUES):
+        largest = max(largest, out[v])
+    for v in range(VALUES):
+        p = max(_ONE + (out[v] - largest) * _LINK, _ZERO)
+        p = p * p
+        p = p * p
+        p = p * p
+        p = p * p
+        freq[v] = np.int32(p * _FINE) + np.int32(1)
+
+
+@njit(cache=True, error_model="numpy")
+def walk(  # type: ignore[no-untyped-def]
+    mode, starts, azimuth, inverse, intensity, constants,
+    first, tables, hidden, hidden_bias, last, last_bias, scales, state, data,
+    keep, rows_x, rows_side,
+):  # fmt: skip
+    """Encode ``intensity`` into ``data``, decode it, or collect training rows of the returns in ``keep``."""
+    n_rings = len(starts) - 1
+    size = azimuth.shape[1]
+    values = np.zeros((3, size), np.float32)
+    frame1, frame2, frame3 = (
+        np.zeros(size, np.float32),
+        np.zeros(size, np.float32),
+        np.zeros(size, np.float32),
+    )
+    index1, index2, index3 = np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros(size, np.int32)
+    unused = np.zeros(size, np.float32)
+    x = np.zeros(INPUTS, np.float32)
+    work = np.zeros(3 * SLOTS, np.float32)
+    width = first.shape[1]
+    h, acc, out = (
+        np.zeros(width, np.float32),
+        np.zeros(width, np.float32),
+        np.zeros(last.shape[1], np.float32),
+    )
+    freq = np.zeros(VALUES, np.int32)
+    rows = 0
+    for k in range(n_rings):
+        lo = starts[k]
+        m = starts[k + 1] - lo
+        if m == 0:
+            continue
+        up, second, down = max(k - 1, 0), max(k - 2, 0), min(k + 1, n_rings - 1)
+        n1 = starts[k] - starts[up]
+        n2 = starts[up] - starts[second]
+        n3 = starts[down + 1] - starts[down] if down > k else 0
+        if n1 > 0:
+            align(
+                azimuth[up],
+                inverse[up],
+                n1,
+                constants[up, 4] - constants[k, 4],
+                azimuth[k],
+                m,
+                frame1,
+                index1,
+                unused,
+            )
+        if n2 > 0:
+            align(
+                azimuth[second],
+                inverse[second],
+                n2,
+                constants[second, 4] - constants[k, 4],
+                azimuth[k],
+                m,
+                frame2,
+                index2,
+                unused,
+            )
+        if n3 > 0:
+            align(
+                azimuth[down],
+                inverse[down],
+                n3,
+                constants[down, 4] - constants[k, 4],
+                azimuth[k],
+                m,
+                frame3,
+                index3,
+                unused,
+            )
+        current, upper, other = values[k % 3], values[(k + 2) % 3], values[(k + 1) % 3]
+        q = constants[k, 0]
+        activity = np.float32(3.0)
+        here, above1, above2, below = inverse[k], inverse[up], inverse[second], inverse[down]
+        places = azimuth[k]
+        for i in range(m):
+            left, above, mean = intensity_features(
+                i, m, places, here, current, n1 > 0, frame1, above1, upper, index1,
+                n2 > 0, above2, other, index2, n3 > 0, below, index3, q, activity, x, work,
+            )  # fmt: skip
+            if mode == COLLECT:
+                value = np.int64(intensity[lo + i])
+                if keep[lo + i]:
+                    for p in range(INPUTS):
+                        rows_x[rows, p] = np.int16(x[p])
+                    rows_side[rows, 0] = left
+                    rows_side[rows, 1] = above
+                    rows += 1
+            else:
+                for j in range(width):
+                    acc[j] = (tables[0, k, j] + tables[1, left, j]) + tables[2, above, j]
+                forward(x, k, first, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
+                frequencies(out, freq)
+                total = np.int64(0)
+                for v in range(VALUES):
+                    total += freq[v]
+                if mode == ENCODE:
+                    value = np.int64(intensity[lo + i])
+                    cum = np.int64(0)
+                    for v in range(value):
+                        cum += freq[v]
+                else:
+                    # The largest cumulative count whose scaled start is not after the target.
+                    target = decode_target(state, BITS)
+                    wanted = (((target + 1) * total + (1 << BITS) - 1) >> BITS) - 1
+                    cum = np.int64(0)
+                    value = np.int64(0)
+                    while value < VALUES - 1 and cum + freq[value] <= wanted:
+                        cum += freq[value]
+                        value += 1
+                low = (cum << BITS) // total
+                high = ((cum + freq[value]) << BITS) // total
+                if mode == ENCODE:
+                    encode_interval(state, data, low, high - low, BITS)
+                else:
+                    decode_interval(state, data, low, high - low, BITS)
+                    intensity[lo + i] = value
+            current[PAD + i] = np.float32(value)
+            activity = np.float32(0.75) * activity + np.float32(0.25) * abs(np.float32(value) - mean)
+        for p in range(PAD):
+            current[PAD - 1 - p] = current[PAD + m - 1 - p % m]
+            current[PAD + m + p] = current[PAD + p % m]
+    return rows
+
+
+def encode_intensity(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    level: NDArray[np.int32],
+    step: int,
+    intensity: NDArray[np.uint8],
+    sensor: SensorModel,
+    network: Network,
+    out: NDArray[np.uint8],
+) -> int:
+    """Encode intensities ``(M,)`` 0..100 into ``out``; return the bytes written, -1 if it is too small.
+
+    Raises:
+        ValueError: an intensity above 100.
+    """
+    if len(intensity) and int(intensity.max()) >= VALUES:
+        raise ValueError("intensities must lie in 0..100")
+    constants = laser_constants(sensor)
+    azimuth, inverse = place_rings(starts, tick, level, step, constants)
+    state = start_encoder()
+    walk(
+        ENCODE, starts, azimuth, inverse, intensity, constants, *network.arrays(), state, out,
+        _NO_KEEP, *_NO_ROWS,
+    )  # fmt: skip
+    return int(finish_encoder(state, out))
+
+
+def decode_intensity(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    level: NDArray[np.int32],
+    step: int,
+    sensor: SensorModel,
+    network: Network,
+    data: NDArray[np.uint8],
+) -> tuple[NDArray[np.uint8], bool]:
+    """Return intensities ``(M,)`` uint8 and whether the data sufficed; inverse of :func:`encode_intensity`."""
+    constants = laser_constants(sensor)
+    azimuth, inverse = place_rings(starts, tick, level, step, constants)
+    intensity = np.zeros(len(tick), np.uint8)
+    body = np.ascontiguousarray(data)
+    state = start_decoder(body)
+    walk(
+        DECODE, starts, azimuth, inverse, intensity, constants, *network.arrays(), state, body,
+        _NO_KEEP, *_NO_ROWS,
+    )  # fmt: skip
+    return intensity, bool(state[3] == 0)
+
+
+def collect_intensity(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    level: NDArray[np.int32],
+    step: int,
+    intensity: NDArray[np.uint8],
+    sensor: SensorModel,
+    keep: NDArray[np.bool_],
+) -> tuple[NDArray[np.int16], NDArray[np.uint8]]:
+    """Return features and the nearest intensities (left, above) of the returns in ``keep``."""
+    n = int(keep.sum())
+    x, sides = np.zeros((n, INPUTS), np.int16), np.zeros((n, 2), np.uint8)
+    constants = laser_constants(sensor)
+    azimuth, inverse = place_rings(starts, tick, level, step, constants)
+    none = Network.empty(INPUTS, OUTPUTS)
+    walk(
+        COLLECT, starts, azimuth, inverse, intensity, constants, *none.arrays(), start_encoder(),
+        np.zeros(1, np.uint8), keep, x, sides,
+    )  # fmt: skip
+    return x, sides

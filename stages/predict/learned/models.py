@@ -1,0 +1,34 @@
+"""The shipped weights by effort level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+
+from salpcc.schemas.errors import SalpccError
+from salpcc.stages.predict.learned.network import Network, load_network
+
+WEIGHTS = Path(__file__).parent / "weights"
+EFFORTS = ("default", "max")
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedModels:
+    """The two networks of an effort level; ``digest`` names them in an archive (hex SHA-256)."""
+
+    ranges: Network
+    intensity: Network
+    digest: str
+
+
+@cache
+def load_models(effort: str) -> LearnedModels:
+    """Load the weights of ``default`` or ``max``; raises SalpccError for any other effort."""
+    if effort not in EFFORTS:
+        raise SalpccError(f"effort {effort!r} has no learned weights; it must be one of {', '.join(EFFORTS)}")
+    ranges = load_network(WEIGHTS / f"range_{effort}.npz")
+    intensity = load_network(WEIGHTS / f"intensity_{effort}.npz")
+    digest = sha256(f"{ranges.digest}{intensity.digest}".encode()).hexdigest()
+    return LearnedModels(ranges, intensity, digest)
