@@ -33,34 +33,75 @@ def _firing_context(firing: NDArray[np.int8], t: int) -> int:
 
 
 @njit(cache=True)
-def _above(state: NDArray[np.int8], t: int, ticks: int) -> int:
-    """State of the ring above around tick t: nearest firing at or before, and the two after.
-
-    ``state`` is 0 where nothing fired, 1 fired without return, 2 returned. Returns three bits.
-    """
-    seen = 0
-    u = t
-    for _ in range(4):
-        if state[u] != 0:
-            seen = state[u] >> 1
-            break
-        u = u - 1 if u > 0 else ticks - 1
-    u = t + 1 if t + 1 < ticks else 0
-    found = 0
-    bits = seen
-    for _ in range(8):
-        if state[u] != 0:
-            bits = (bits << 1) | (state[u] >> 1)
-            found += 1
-            if found == 2:
-                return bits
-        u = u + 1 if u + 1 < ticks else 0
-    return bits << (2 - found)
+def _ring_ticks(fired: NDArray[np.int64], shift: int, ticks: int, out: NDArray[np.int64]) -> None:
+    """Ticks at which a laser saw the firings ``fired`` (ascending), ascending themselves."""
+    n = len(fired)
+    first = 0  # the first firing that the shift does not push past the end of the turn
+    for i in range(n):
+        if (fired[i] + shift) % ticks < (fired[first] + shift) % ticks:
+            first = i
+    for i in range(n):
+        j = first + i
+        out[i] = (fired[j if j < n else j - n] + shift) % ticks
 
 
 @njit(cache=True)
-def _return_context(left: int, up: NDArray[np.uint8], up2: NDArray[np.int8], t: int, ticks: int) -> int:
-    return (left & 7) << 6 | _above(up, t, ticks) << 3 | _above(up2, t, ticks)
+def _follow(place: int, tick: int, ring_ticks: NDArray[np.int64]) -> int:
+    """Move along a ring from firing ``place`` (-1: before the first) to the last at or before ``tick``."""
+    while ring_ticks[place + 1] <= tick:  # a sentinel ends the ring
+        place += 1
+    return place
+
+
+@njit(cache=True)
+def _three(seen: NDArray[np.int64], place: int) -> int:
+    """What a ring saw at firing ``place`` and the two after; ``seen`` stands one place to the right."""
+    return seen[place + 1] << 2 | seen[place + 2] << 1 | seen[place + 3]
+
+
+@njit(cache=True)
+def _walk(  # type: ignore[no-untyped-def]
+    decoding, coder, data, fired, shift, ticks, starts, tick, laser, model
+):
+    """Code the returns of all rings; encoder and decoder are one walk. Returns how many there were."""
+    n = len(fired)
+    ring_ticks = np.full((3, n + 1), ticks)
+    seen = np.zeros((3, n + 4), np.int64)
+    done = 0
+    for k in range(len(shift)):
+        places, above_places, above2_places = (
+            ring_ticks[k % 3],
+            ring_ticks[(k + 2) % 3],
+            ring_ticks[(k + 1) % 3],
+        )
+        here, up, up2 = seen[k % 3], seen[(k + 2) % 3], seen[(k + 1) % 3]
+        _ring_ticks(fired, shift[k], ticks, places)
+        left = 7
+        at = -1
+        at2 = -1
+        i = 0 if decoding else starts[k]
+        for f in range(n):
+            t = places[f]
+            at = _follow(at, t, above_places)
+            at2 = _follow(at2, t, above2_places)
+            context = left << 6 | _three(up, at) << 3 | _three(up2, at2)
+            if decoding:
+                bit = decode_bit(coder, data, model, context)
+                if bit == 1:
+                    if done == len(tick):
+                        return -1
+                    laser[done] = k
+                    tick[done] = t
+                    done += 1
+            else:
+                bit = 0
+                if i < starts[k + 1] and tick[i] == t:
+                    bit = 1
+                    i += 1
+                encode_bit(coder, data, model, context, bit)
+            here[f + 1] = bit
+            left = (left << 1 | bit) & 7
+    return done
 
 
 @njit(cache=True)
@@ -81,24 +122,8 @@ def encode_mask(
     coder = start_encoder()
     for t in range(ticks):
         encode_bit(coder, out, firing_model, _firing_context(firing, t), firing[t])
-    up = np.zeros(ticks, np.int8)
-    up2 = np.zeros(ticks, np.int8)
-    for k in range(len(starts) - 1):
-        here = np.zeros(ticks, np.int8)
-        i = starts[k]
-        left = 7
-        for t in range(ticks):
-            if firing[(t - shift[k]) % ticks] == 0:
-                continue
-            bit = 0
-            if i < starts[k + 1] and tick[i] == t:
-                bit = 1
-                i += 1
-            encode_bit(coder, out, return_model, _return_context(left, up, up2, t, ticks), bit)
-            here[t] = 1 + bit
-            left = (left << 1 | bit) & 7
-        up2 = up
-        up = here
+    fired = np.flatnonzero(firing)
+    _walk(False, coder, out, fired, shift, ticks, starts, tick, np.zeros(0, np.uint8), return_model)
     return finish_encoder(coder, out)
 
 
@@ -118,24 +143,6 @@ def decode_mask(
     firing = np.zeros(ticks, np.int8)
     for t in range(ticks):
         firing[t] = decode_bit(coder, data, firing_model, _firing_context(firing, t))
-    up = np.zeros(ticks, np.int8)
-    up2 = np.zeros(ticks, np.int8)
-    i = 0
-    for k in range(len(shift)):
-        here = np.zeros(ticks, np.int8)
-        left = 7
-        for t in range(ticks):
-            if firing[(t - shift[k]) % ticks] == 0:
-                continue
-            bit = decode_bit(coder, data, return_model, _return_context(left, up, up2, t, ticks))
-            here[t] = 1 + bit
-            left = (left << 1 | bit) & 7
-            if bit == 1:
-                if i == n:
-                    return laser, tick, False
-                laser[i] = k
-                tick[i] = t
-                i += 1
-        up2 = up
-        up = here
-    return laser, tick, i == n and coder[3] == 0
+    fired = np.flatnonzero(firing)
+    done = _walk(True, coder, data, fired, shift, ticks, np.zeros(0, np.int64), tick, laser, return_model)
+    return laser, tick, done == n and coder[3] == 0

@@ -42,9 +42,7 @@ def start_encoder() -> NDArray[np.int64]:
 
 
 @njit(cache=True)
-def _renormalise_encoder(
-    low: int, width: int, state: NDArray[np.int64], out: NDArray[np.uint8]
-) -> None:
+def _renormalise_encoder(low: int, width: int, state: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
     """Write out the leading bytes of ``low`` until the range is wide again; carries ripple back."""
     position = state[2]
     while width < _BOTTOM:
@@ -69,7 +67,9 @@ def _renormalise_encoder(
 
 
 @njit(cache=True)
-def encode_interval(state: NDArray[np.int64], out: NDArray[np.uint8], low: int, width: int, bits: int) -> None:
+def encode_interval(
+    state: NDArray[np.int64], out: NDArray[np.uint8], low: int, width: int, bits: int
+) -> None:
     """Encode the interval ``[low, low + width)`` of ``2 ** bits``; width at least 1, bits at most 24."""
     r = state[1] >> bits
     _renormalise_encoder(state[0] + r * low, r * width, state, out)

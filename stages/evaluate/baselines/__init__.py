@@ -16,6 +16,7 @@ from salpcc.stages.evaluate.baselines.ours import SALPCC
 from salpcc.stages.evaluate.baselines.png import PNG
 from salpcc.stages.evaluate.baselines.ppmd import PPMD
 from salpcc.stages.evaluate.baselines.sun import SUN
+from salpcc.stages.evaluate.baselines.tmc13 import TMC13, TMC13_OCTREE
 
 BASELINES: Mapping[str, Baseline] = {
     "salpcc": SALPCC,
@@ -23,6 +24,8 @@ BASELINES: Mapping[str, Baseline] = {
     "draco_sequential": DRACO_SEQUENTIAL,
     "laszip": LASZIP,
     "octree": OCTREE,
+    "tmc13": TMC13,
+    "tmc13_octree": TMC13_OCTREE,
     "png": PNG,
     "hevc_intra": HEVC_INTRA,
     "feng": FENG,

@@ -13,8 +13,10 @@ of the report and nothing else.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any, Literal
 
 import numpy as np
@@ -59,6 +61,16 @@ class Baseline:
     promise: Promise
     encode: Callable[[Points, float], bytes]
     decode: Callable[[bytes], Points]
+    program: str | None = None  # that must be on the PATH
+
+    def missing(self) -> str | None:
+        """Say what it lacks on this machine, or None where it can run."""
+        if self.program is not None and shutil.which(self.program) is None:
+            return f"{self.program} not found"
+        absent = [package for package in self.packages if find_spec(package) is None]
+        if absent:
+            return f"{', '.join(absent)} missing, pip install 'salpcc-pipeline[baselines]'"
+        return None
 
 
 def quantize(points: NDArray[Any], step: float) -> NDArray[np.int64]:

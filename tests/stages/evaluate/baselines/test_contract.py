@@ -23,8 +23,8 @@ def cases() -> Iterator[object]:
 
 
 def available(name: str) -> Baseline:
-    for package in BASELINES[name].packages:
-        pytest.importorskip(package)
+    if missing := BASELINES[name].missing():
+        pytest.skip(missing)
     return BASELINES[name]
 
 
