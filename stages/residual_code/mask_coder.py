@@ -61,7 +61,7 @@ def _three(seen: NDArray[np.int64], place: int) -> int:
 
 @njit(cache=True)
 def _walk(  # type: ignore[no-untyped-def]
-    decoding, coder, data, fired, shift, ticks, starts, tick, laser, model
+    decoding, coder, data, out, fired, shift, ticks, starts, tick, laser, model
 ):
     """Code the returns of all rings; encoder and decoder are one walk. Returns how many there were."""
     n = len(fired)
@@ -98,7 +98,7 @@ def _walk(  # type: ignore[no-untyped-def]
                 if i < starts[k + 1] and tick[i] == t:
                     bit = 1
                     i += 1
-                encode_bit(coder, data, model, context, bit)
+                encode_bit(coder, out, model, context, bit)
             here[f + 1] = bit
             left = (left << 1 | bit) & 7
     return done
@@ -123,7 +123,7 @@ def encode_mask(
     for t in range(ticks):
         encode_bit(coder, out, firing_model, _firing_context(firing, t), firing[t])
     fired = np.flatnonzero(firing)
-    _walk(False, coder, out, fired, shift, ticks, starts, tick, np.zeros(0, np.uint8), return_model)
+    _walk(False, coder, out, out, fired, shift, ticks, starts, tick, np.zeros(0, np.uint8), return_model)
     return finish_encoder(coder, out)
 
 
@@ -144,5 +144,17 @@ def decode_mask(
     for t in range(ticks):
         firing[t] = decode_bit(coder, data, firing_model, _firing_context(firing, t))
     fired = np.flatnonzero(firing)
-    done = _walk(True, coder, data, fired, shift, ticks, np.zeros(0, np.int64), tick, laser, return_model)
+    done = _walk(
+        True,
+        coder,
+        data,
+        np.zeros(0, np.uint8),
+        fired,
+        shift,
+        ticks,
+        np.zeros(0, np.int64),
+        tick,
+        laser,
+        return_model,
+    )
     return laser, tick, done == n and coder[3] == 0

@@ -98,18 +98,19 @@ def check(network: Network) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _layer(weight: F32, row: int, x: F32, n: int, acc: F32) -> None:
-    """Add ``x[:n] @ weight[row : row + n]`` to ``acc``; n is a multiple of 4."""
+    """Add ``x[:n] @ weight[row : row + n]`` to ``acc``; n is a multiple of 8."""
     m = weight.shape[1]
-    for k in range(0, n, 4):
+    for k in range(0, n, 8):
         x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
-        r0, r1, r2, r3 = (
-            np.uint64(row + k),
-            np.uint64(row + k + 1),
-            np.uint64(row + k + 2),
-            np.uint64(row + k + 3),
-        )
+        x4, x5, x6, x7 = x[k + 4], x[k + 5], x[k + 6], x[k + 7]
+        r0 = np.uint64(row + k)  # unsigned: no check for negative indices, so the loop vectorises
+        r1, r2, r3 = np.uint64(row + k + 1), np.uint64(row + k + 2), np.uint64(row + k + 3)
+        r4, r5, r6 = np.uint64(row + k + 4), np.uint64(row + k + 5), np.uint64(row + k + 6)
+        r7 = np.uint64(row + k + 7)
         for j in range(m):
-            acc[j] += (weight[r0, j] * x0 + weight[r1, j] * x1) + (weight[r2, j] * x2 + weight[r3, j] * x3)
+            low = (weight[r0, j] * x0 + weight[r1, j] * x1) + (weight[r2, j] * x2 + weight[r3, j] * x3)
+            high = (weight[r4, j] * x4 + weight[r5, j] * x5) + (weight[r6, j] * x6 + weight[r7, j] * x7)
+            acc[j] += low + high
 
 
 @njit(cache=True, error_model="numpy")
