@@ -52,7 +52,8 @@ def measure(name: str, scan: Scan, sequence: str, max_error: float) -> dict[str,
         _warm_up(name)
         return row | _measure(baseline, scan, max_error) | {"status": "ok"}
     except Exception as error:  # noqa: BLE001  whatever a foreign codec throws costs its row and nothing else
-        return row | {"status": f"failed: {error or type(error).__name__}"}
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        return row | {"status": f"failed: {reason[:200]}"}
 
 
 @cache

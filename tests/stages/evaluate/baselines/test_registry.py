@@ -37,7 +37,7 @@ def test_a_codec_that_breaks_costs_a_row_only(
     monkeypatch: pytest.MonkeyPatch, street: Callable[..., Scan]
 ) -> None:
     def broken(points: Points, max_error: float) -> bytes:
-        raise ZeroDivisionError("no luck")
+        raise ZeroDivisionError("no luck\nand more")
 
     monkeypatch.setattr(measuring, "BASELINES", {"bad": replace(baselines.BASELINES["xz"], encode=broken)})
     assert measuring.measure("bad", street(), "00", 0.0)["status"] == "failed: no luck"
