@@ -96,7 +96,7 @@ def check(network: Network) -> None:
             )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _layer(weight: F32, row: int, x: F32, n: int, acc: F32) -> None:
     """Add ``x[:n] @ weight[row : row + n]`` to ``acc``; n is a multiple of 8."""
     m = weight.shape[1]
@@ -113,7 +113,7 @@ def _layer(weight: F32, row: int, x: F32, n: int, acc: F32) -> None:
             acc[j] += low + high
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _activate(acc: F32, n: int, scale: np.float32, h: F32) -> None:
     inverse = np.float32(1.0) / scale
     half = np.float32(0.5)
