@@ -60,8 +60,9 @@ PLANES = pa.schema(
 PREDICTION = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
-        pa.field("prediction", _list(pa.int32()), nullable=False),
-        pa.field("spread", _list(pa.uint8()), nullable=False),
+        pa.field("effort", pa.string(), nullable=False),
+        pa.field("prediction", _list(pa.int32())),
+        pa.field("spread", _list(pa.uint8())),
     ]
 )
 PAYLOAD = pa.schema(

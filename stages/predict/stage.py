@@ -7,9 +7,10 @@ import pyarrow as pa
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.shards import PREDICTION, table_to_sweeps
 from salpcc.stages.ingest.sensor_model import load_sensor
-from salpcc.stages.predict.neighbours import laser_table, predict_levels, ring_starts
+from salpcc.stages.predict.prediction import predict
+from salpcc.stages.residual_code.models import effective_effort
 
-VERSION = 1
+VERSION = 2
 
 
 def run(task: pa.Table, planes: pa.Table, config: RunConfig) -> pa.Table:
@@ -19,10 +20,16 @@ def run(task: pa.Table, planes: pa.Table, config: RunConfig) -> pa.Table:
     planes are not used in the ``sensor`` profile.
     """
     sensor = load_sensor(config.sensor)
-    table = laser_table(sensor)
     rows = []
     for sweep in table_to_sweeps(task):
-        starts = ring_starts(sweep.laser, sensor.n_lasers)
-        prediction, spread = predict_levels(starts, sweep.tick, sweep.count, sweep.step, table)
-        rows.append({"name": sweep.name, "prediction": prediction, "spread": spread})
+        effort = effective_effort(sweep, sensor, config.effort)
+        predicted = predict(sweep, sensor, effort)
+        rows.append(
+            {
+                "name": sweep.name,
+                "effort": effort,
+                "prediction": predicted.level,
+                "spread": predicted.spread,
+            }
+        )
     return pa.Table.from_pylist(rows, schema=PREDICTION)

@@ -6,244 +6,23 @@ ones before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
 
-import numpy as np
-from numpy.typing import NDArray
-
-from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.lattice import NO_CORRECTION, unproject
-from salpcc.stages.ingest.publish import (
-    compensated_points,
-    float32_boundary,
-    millimetre_boundary,
-    raw_points,
-)
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.predict.neighbours import laser_table, predict_levels, ring_starts
-from salpcc.stages.residual_code import (
-    class_coder,
-    correction_coder,
-    intensity_coder,
-    level_coder,
-    mask_coder,
-)
-from salpcc.stages.residual_code.payload import (
-    CLASSES,
-    FLOAT_INTENSITY,
-    MOTION,
-    Header,
-    Payload,
-    content_crc,
-    pack,
-    unpack,
-)
-from salpcc.stages.residual_code.range_coder import new_bits
-from salpcc.stages.residual_code.stray_coder import decode_floats, decode_strays, encode_floats, encode_strays
-
-Array = NDArray[np.uint8]
-_INTENSITY_OF_LEVEL = (np.arange(intensity_coder.LEVELS) / 100).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class Models:
-    """Adaptive bits of every stream; they go on learning through a GOP."""
-
-    firing: NDArray[np.uint16] = field(default_factory=lambda: new_bits(mask_coder.FIRING_CONTEXTS))
-    mask: NDArray[np.uint16] = field(default_factory=lambda: new_bits(mask_coder.RETURN_CONTEXTS))
-    levels: NDArray[np.uint16] = field(default_factory=lambda: new_bits(level_coder.CONTEXTS))
-    millimetre: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
-    ulp: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
-    intensity: NDArray[np.uint16] = field(default_factory=lambda: new_bits(intensity_coder.CONTEXTS))
-    classes: NDArray[np.uint16] = field(default_factory=lambda: new_bits(class_coder.CONTEXTS))
-
-
-def intensity_levels(intensity: NDArray[np.float32]) -> Array | None:
-    """Return intensities ``(M,)`` in hundredths, or None where one is not float32 of n / 100."""
-    with np.errstate(invalid="ignore"):
-        levels = np.clip(np.nan_to_num(np.rint(intensity * 100.0)), 0, 100).astype(np.uint8)
-    same = _INTENSITY_OF_LEVEL[levels].view(np.int32) == np.ascontiguousarray(intensity).view(np.int32)
-    return levels if bool(same.all()) else None
-
-
-def _run(encode: Callable[[Array], int], values: int) -> bytes:
-    """Call an encoder with a buffer, a larger one if it was too small."""
-    size = 4 * values + 4096
-    while True:
-        out = np.empty(size, np.uint8)
-        written = encode(out)
-        if written >= 0:
-            return out[:written].tobytes()
-        size *= 4
-
-
-def encode_scan(
-    sweep: Sweep,
-    sensor: SensorModel,
-    prediction: NDArray[np.int32],
-    spread: NDArray[np.uint8],
-    models: Models,
-    effort: str,
-) -> Payload:
-    """Encode the next scan of a GOP from its sweep and the predictions of its levels ``(M,)``."""
-    starts = ring_starts(sweep.laser, sensor.n_lasers)
-    tick, level = sweep.tick, sweep.count
-    n, s = len(level), len(sweep.stray_index)
-    flags = 0
-    reach = [-1.0, -1.0]
-    streams = [
-        _run(
-            lambda out: mask_coder.encode_mask(
-                starts, tick, sensor.shift, sensor.ticks_per_turn, models.firing, models.mask, out
-            ),
-            n,
-        ),
-        _run(lambda out: level_coder.encode_levels(level, prediction, spread, models.levels, out), n),
-    ]
-    if sweep.max_error == 0:
-        model = unproject(sensor, sweep.laser, tick, level)
-        points = compensated_points(raw_points(model, sweep.millimetre), sweep.motion)
-        roundings = (
-            (sweep.millimetre, millimetre_boundary(model), models.millimetre),
-            (sweep.ulp, float32_boundary(points), models.ulp),
-        )
-        for which, (codes, (distance, step), bits) in enumerate(roundings):
-            reach[which] = correction_coder.correction_reach(distance, codes)
-            streams.append(_corrections(distance, step, reach[which], codes, bits))
-    else:
-        streams += [b"", b""]
-    streams.append(
-        _run(
-            lambda out: encode_strays(sweep.stray_index, sweep.stray_points[:, :3], sweep.max_error, out),
-            5 * s,
-        )
-    )
-    levels = intensity_levels(sweep.intensity)
-    if levels is None:
-        flags |= FLOAT_INTENSITY
-        streams.append(_run(lambda out: encode_floats(sweep.intensity, out), n))
-    else:
-        streams.append(
-            _run(
-                lambda out: intensity_coder.encode_intensity(
-                    starts, tick, level, levels, models.intensity, out
-                ),
-                n,
-            )
-        )
-    streams.append(_run(lambda out: encode_floats(sweep.stray_points[:, 3], out), s))
-    if sweep.classes is not None and sweep.stray_classes is not None:
-        flags |= CLASSES
-        returned = _run(
-            lambda out: class_coder.encode_classes(starts, tick, sweep.classes, models.classes, out), n
-        )
-        streams.append(sweep.stray_classes.tobytes() + returned)
-    else:
-        streams.append(b"")
-    header = Header(
-        flags | (MOTION if sweep.motion is not None else 0), effort, sweep.n_points, n, s, sweep.step,
-        sweep.max_error, reach[0], reach[1], content_crc(sweep), sweep.motion,
-    )  # fmt: skip
-    return pack(header, streams)
-
-
-def _corrections(
-    distance: NDArray[np.float64],
-    step: NDArray[np.int8],
-    reach: float,
-    codes: Array,
-    bits: NDArray[np.uint16],
-) -> bytes:
-    if reach < 0:
-        return b""
-    return _run(
-        lambda out: correction_coder.encode_corrections(distance, step, reach, codes, bits, out), len(codes)
-    )
-
-
-def decode_scan(data: bytes, sensor: SensorModel, models: Models) -> Sweep:
-    """Decode the next scan of a GOP; inverse of :func:`encode_scan`, name and time apart.
-
-    Raises:
-        ArchiveError: the payload is damaged, or does not decode to what its checksum says.
-    """
-    header, streams = unpack(data)
-    if header.returns > sensor.n_lasers * sensor.ticks_per_turn:
-        raise ArchiveError("payload has more returns than the sensor has firings")
-    sound = True
-
-    def checked(result):  # type: ignore[no-untyped-def]
-        nonlocal sound
-        sound = sound and bool(result[-1])
-        if not sound:
-            raise ArchiveError("payload does not decode")
-        return result[0] if len(result) == 2 else result[:-1]
-
-    mask, levels, millimetre, ulp, stray, intensity, stray_intensity, classes = (
-        np.frombuffer(stream, np.uint8) for stream in streams
-    )
-    n, s = header.returns, header.strays
-    laser, tick = checked(
-        mask_coder.decode_mask(sensor.shift, sensor.ticks_per_turn, n, models.firing, models.mask, mask)
-    )
-    starts = ring_starts(laser, sensor.n_lasers)
-    count = checked(
-        level_coder.decode_levels(starts, tick, header.step, laser_table(sensor), models.levels, levels)
-    )
-    mm_codes = np.full(n, NO_CORRECTION, np.uint8)
-    ulp_codes = np.full(n, NO_CORRECTION, np.uint8)
-    if header.max_error == 0:
-        model = unproject(sensor, laser, tick, count)
-        if header.millimetre_reach >= 0:
-            mm_codes = checked(
-                correction_coder.decode_corrections(
-                    *millimetre_boundary(model), header.millimetre_reach, models.millimetre, millimetre
-                )
-            )
-        if header.ulp_reach >= 0:
-            points = compensated_points(raw_points(model, mm_codes), header.motion)
-            ulp_codes = checked(
-                correction_coder.decode_corrections(
-                    *float32_boundary(points), header.ulp_reach, models.ulp, ulp
-                )
-            )
-    places, points = checked(decode_strays(s, header.max_error, stray))
-    if header.flags & FLOAT_INTENSITY:
-        values = checked(decode_floats(n, intensity))
-    else:
-        values = _INTENSITY_OF_LEVEL[
-            checked(intensity_coder.decode_intensity(starts, tick, count, models.intensity, intensity))
-        ]
-    fourth = checked(decode_floats(s, stray_intensity))
-    labels = stray_labels = None
-    if header.flags & CLASSES:
-        if len(classes) < s:
-            raise ArchiveError("payload does not decode")
-        stray_labels = classes[:s].copy()
-        labels = checked(class_coder.decode_classes(starts, tick, models.classes, classes[s:]))
-    if s and (places[0] < 0 or places[-1] >= n + s or (np.diff(places) <= 0).any()):
-        raise ArchiveError("payload does not decode")
-    sweep = Sweep(
-        "", 0, "", header.n_points, header.motion, header.step, header.max_error,
-        laser, tick, count, values, mm_codes, ulp_codes, labels,
-        places, np.column_stack([points, fourth]), stray_labels,
-    )  # fmt: skip
-    if content_crc(sweep) != header.content_crc:
-        raise ArchiveError("payload decodes to something else than was coded (checksum differs)")
-    return sweep
+from salpcc.stages.predict.prediction import predict
+from salpcc.stages.residual_code.models import GopModels, effective_effort
+from salpcc.stages.residual_code.payload import Payload
+from salpcc.stages.residual_code.scan_coder import decode_scan, encode_scan
 
 
 def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "default") -> list[Payload]:
     """Encode the sweeps of one GOP, predictions included."""
-    models = Models()
-    table = laser_table(sensor)
+    models = GopModels(sensor)
     payloads = []
     for sweep in sweeps:
-        starts = ring_starts(sweep.laser, sensor.n_lasers)
-        prediction, spread = predict_levels(starts, sweep.tick, sweep.count, sweep.step, table)
-        payloads.append(encode_scan(sweep, sensor, prediction, spread, models, effort))
+        able = effective_effort(sweep, sensor, effort)
+        payloads.append(encode_scan(sweep, sensor, predict(sweep, sensor, able), models, able))
     return payloads
 
 
@@ -253,6 +32,6 @@ def decode_gop(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep
     Raises:
         ArchiveError: a payload is damaged.
     """
-    models = Models()
+    models = GopModels(sensor)
     for data in payloads:
         yield decode_scan(data, sensor, models)

@@ -32,7 +32,7 @@ GROUPS = ("geometry", "intensity", "classes", "side")
 _GROUP_OF_STREAM = (0, 0, 0, 0, 0, 1, 1, 2)
 
 MOTION, CLASSES, FLOAT_INTENSITY = 1, 2, 4
-_FIXED = struct.Struct("<BBBBIIIIddd I 8I")
+_FIXED = struct.Struct("<BBBBIIIIddd I 8s 8I")
 _MOTION = struct.Struct("<6d")
 _CRC = struct.Struct("<I")
 MAX_POINTS = 1 << 24
@@ -48,7 +48,10 @@ class Payload:
 
 @dataclass(frozen=True)
 class Header:
-    """What a decoder must know before the streams; counts are of kept points."""
+    """What a decoder must know before the streams; counts are of kept points.
+
+    ``weights`` is the first 8 bytes of the digest of the learned models, zeros for effort ``fast``.
+    """
 
     flags: int
     effort: str
@@ -60,6 +63,7 @@ class Header:
     millimetre_reach: float
     ulp_reach: float
     content_crc: int
+    weights: bytes
     motion: NDArray[np.float64] | None
 
 
@@ -90,7 +94,7 @@ def pack(header: Header, streams: list[bytes]) -> Payload:
             CODEC_VERSION, header.flags, EFFORTS.index(header.effort), 0,
             header.n_points, header.returns, header.strays, header.step,
             header.max_error, header.millimetre_reach, header.ulp_reach,
-            header.content_crc, *(len(stream) for stream in streams),
+            header.content_crc, header.weights, *(len(stream) for stream in streams),
         )
     ]  # fmt: skip
     if header.motion is not None:
@@ -126,7 +130,7 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
             raise ArchiveError("payload is truncated")
         motion = np.array(_MOTION.unpack_from(data, position))
         position += _MOTION.size
-    lengths = fields[12:]
+    lengths = fields[13:]
     sound = (
         effort < len(EFFORTS)
         and returns + strays <= n_points <= MAX_POINTS
@@ -137,9 +141,7 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
     )
     if not sound:
         raise ArchiveError("payload has a header that cannot be")
-    header = Header(
-        flags, EFFORTS[effort], n_points, returns, strays, step, *fields[8:11], fields[11], motion
-    )
+    header = Header(flags, EFFORTS[effort], n_points, returns, strays, step, *fields[8:13], motion)
     streams = []
     for length in lengths:
         streams.append(data[position : position + length])

@@ -7,20 +7,22 @@ import pyarrow as pa
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.shards import PAYLOAD, list_array, table_to_sweeps
 from salpcc.stages.ingest.sensor_model import load_sensor
-from salpcc.stages.residual_code.gop import Models, encode_scan
+from salpcc.stages.predict.prediction import Prediction
+from salpcc.stages.residual_code.models import GopModels
+from salpcc.stages.residual_code.scan_coder import encode_scan
 
-VERSION = 1
+VERSION = 2
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
     """Turn the TASK and PREDICTION tables of a GOP into its PAYLOAD table."""
     sensor = load_sensor(config.sensor)
-    models = Models()
+    models = GopModels(sensor)
     rows = []
     for i, sweep in enumerate(table_to_sweeps(task)):
-        predicted = list_array(prediction, "prediction", i)
-        spread = list_array(prediction, "spread", i)
-        payload = encode_scan(sweep, sensor, predicted, spread, models, config.effort)
+        predicted = Prediction(list_array(prediction, "prediction", i), list_array(prediction, "spread", i))
+        effort = prediction.column("effort")[i].as_py()
+        payload = encode_scan(sweep, sensor, predicted, models, effort)
         rows.append(
             {
                 "name": sweep.name,

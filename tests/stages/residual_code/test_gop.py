@@ -13,7 +13,7 @@ from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.residual_code.payload import content_crc
 from salpcc.stages.segment.task import quantise
 
-EFFORTS = ("fast",)
+EFFORTS = ("fast", "default", "max")
 
 
 @pytest.fixture(scope="module")
