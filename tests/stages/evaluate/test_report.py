@@ -56,6 +56,8 @@ def out(
         {"sequence": "04", "name": "000002", "stage": "ingest", "file": "a<b>.bin", "message": "cut | off"}
     ]
     coded = [measure(name, street(), "00", error) for name, error in (("xz", 0.0), ("octree", 0.01))]
+    absent = {"baseline": "tmc13", "sequence": "00", "name": "000000", "status": "not run: tmc3 not found"}
+    coded += [absent | {"max_error": error, "points_in": 3000} for error in (0.001, 0.01)]
     record(
         tmp_path,
         {
@@ -119,6 +121,14 @@ def test_baselines_stand_under_their_names_and_errors(out: Path) -> None:
     octree = baselines["octree"]["0.01"]
     assert octree["points_lost"] > 0 and octree["bpp"]["total"] is None
     assert octree["max_axis_error_m"] <= 0.01 + 1e-5
+
+
+def test_a_codec_that_is_not_here_has_one_row_that_says_so(out: Path) -> None:
+    report.build(out)
+    rows = pq.read_table(out / "report" / "tables" / "baselines.parquet").to_pylist()
+    (absent,) = [row for row in rows if row["codec"] == "tmc13"]
+    assert absent["remark"] == "not run: tmc3 not found" and absent["bpp_geometry"] is None
+    assert absent["asked"] == "any"
 
 
 def test_the_page_stands_alone_and_escapes(out: Path) -> None:
