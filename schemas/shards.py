@@ -129,9 +129,12 @@ def _column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
 
 
 def list_array(table: pa.Table, column: str, row: int) -> NDArray[Any] | None:
-    """The array in a list column of one row (read-only view), or None where it is null."""
+    """The array in a list column of one row, or None where it is null.
+
+    A copy: Arrow's memory is read-only, and numba would compile every kernel a second time for it.
+    """
     scalar = table.column(column)[row]
-    return scalar.values.to_numpy() if scalar.is_valid else None
+    return np.array(scalar.values.to_numpy()) if scalar.is_valid else None
 
 
 def _row(table: pa.Table, row: int) -> Sweep:
