@@ -3,6 +3,8 @@
 import multiprocessing
 import pickle
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -74,17 +76,14 @@ def test_archive_can_be_pickled_in_the_middle_of_a_gop(path: Path) -> None:
     assert copy[3].points.tobytes() == archive[3].points.tobytes()
 
 
-def _points(archive: Archive, index: int) -> bytes:
-    return archive[index].points.tobytes()
-
-
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_archive_works_in_other_processes(path: Path, method: str) -> None:
     archive = Archive.open(path)
-    wanted = [_points(archive, i) for i in range(5)]
-    with multiprocessing.get_context(method).Pool(2) as pool:
-        found = pool.starmap(_points, [(archive, i) for i in range(5)])
-    assert found == wanted
+    wanted = [archive[i].points.tobytes() for i in range(5)]
+    context = multiprocessing.get_context(method)
+    with ProcessPoolExecutor(2, mp_context=context) as pool:
+        found = list(pool.map(getitem, [archive] * 5, range(5)))
+    assert [scan.points.tobytes() for scan in found] == wanted
 
 
 def test_arrays_go_in_without_files(tmp_path: Path, toy_root: Path) -> None:
