@@ -15,7 +15,7 @@ F64 = NDArray[np.float64]
 BITS = 24
 TOTAL = 1 << BITS
 COMPONENTS = 12
-_SHARED = (9, 0)  # predictors of the components beyond the first ten
+SHARED = (9, 0)  # predictors of the components beyond the first ten
 _PER_UNIT = 32.0
 _CUT = 9.0  # components whose logit is this far below the largest are dropped
 _LOG_SCALE_SHIFT, _LOG_SCALE_LOW, _LOG_SCALE_HIGH = 2.0, -2.0, 9.0
@@ -74,7 +74,7 @@ def set_mixture(out: NDArray[np.float32], mu: F64, mix: F64) -> int:
         log_scale = np.float64(out[2 * COMPONENTS + c]) + _LOG_SCALE_SHIFT
         log_scale = min(max(log_scale, _LOG_SCALE_LOW), _LOG_SCALE_HIGH)
         s = int((log_scale - _LOG_SCALE_LOW) * _PER_UNIT)
-        predictor = c if c < len(mu) else _SHARED[c - len(mu)]
+        predictor = c if c < len(mu) else SHARED[c - len(mu)]
         mix[0, n] = mu[predictor] + offset * SCALES[s]
         mix[1, n] = INVERSE_SCALES[s]
         mix[2, n] = weight

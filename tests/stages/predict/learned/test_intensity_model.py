@@ -1,0 +1,67 @@
+"""The learned intensity coder: exact inverse, safe on damaged data."""
+
+import numpy as np
+import pytest
+
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.predict.learned.intensity_model import decode_intensity, encode_intensity, frequencies
+from salpcc.stages.predict.learned.models import EFFORTS, load_models
+
+from .conftest import Returns
+
+
+def encode(returns: Returns, step: int, sensor: SensorModel, effort: str = "default") -> np.ndarray:
+    out = np.zeros(4 * len(returns.tick) + 64, np.uint8)
+    level = returns.count // step
+    network = load_models(effort).intensity
+    written = encode_intensity(
+        returns.starts, returns.tick, level, step, returns.intensity, sensor, network, out
+    )
+    return out[:written].copy()
+
+
+@pytest.mark.parametrize("effort", EFFORTS)
+@pytest.mark.parametrize("step", [1, 10])
+def test_intensities_come_back(returns: Returns, sensor: SensorModel, effort: str, step: int) -> None:
+    data = encode(returns, step, sensor, effort)
+    value, sound = decode_intensity(
+        returns.starts, returns.tick, returns.count // step, step, sensor, load_models(effort).intensity, data
+    )
+    assert sound
+    np.testing.assert_array_equal(value, returns.intensity)
+
+
+def test_any_intensities_come_back(returns: Returns, sensor: SensorModel) -> None:
+    rng = np.random.default_rng(1)
+    wild = returns._replace(intensity=rng.integers(0, 101, len(returns.tick)).astype(np.uint8))
+    data = encode(wild, 1, sensor)
+    network = load_models("default").intensity
+    value, sound = decode_intensity(wild.starts, wild.tick, wild.count, 1, sensor, network, data)
+    assert sound
+    np.testing.assert_array_equal(value, wild.intensity)
+
+
+def test_an_intensity_above_100_is_refused(returns: Returns, sensor: SensorModel) -> None:
+    with pytest.raises(ValueError, match="0..100"):
+        encode(returns._replace(intensity=returns.intensity + np.uint8(101)), 1, sensor)
+
+
+def test_frequencies_are_positive_and_favour_the_largest_logit() -> None:
+    logits = np.linspace(-40, 3, 104).astype(np.float32)
+    frequency = np.zeros(101, np.int32)
+    frequencies(logits, frequency)
+    assert frequency.min() == 1
+    assert frequency.argmax() == 100
+    assert frequency[100] == 16385
+
+
+def test_damage_never_leaves_the_bounds(returns: Returns, sensor: SensorModel) -> None:
+    network = load_models("default").intensity
+    good = encode(returns, 5, sensor)
+    rng = np.random.default_rng(7)
+    for _ in range(6):
+        bad = good.copy()
+        bad[rng.integers(0, len(bad), 4)] ^= rng.integers(1, 256, 4).astype(np.uint8)
+        bad = bad[: rng.integers(1, len(bad))]
+        value, _ = decode_intensity(returns.starts, returns.tick, returns.count // 5, 5, sensor, network, bad)
+        assert value.max() <= 100
