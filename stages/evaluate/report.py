@@ -71,10 +71,19 @@ def collect(out: Path, metrics: pa.Table) -> dict[str, Any]:
         "baselines": compared,
         "bd_rate_percent": bd_rates(compared),
         "failures": recorded(out, "failures").to_pylist(),
+        "errors": error_lines(recorded(out, "failures")),
     }
     finite = _finite(report)
     assert isinstance(finite, dict)
     return finite
+
+
+def error_lines(failures: pa.Table) -> list[dict[str, str]]:
+    """Name what failed: sequence, scan (empty for a whole sequence), stage, reason."""
+    return [
+        {"sequence": row["sequence"], "scan": row["name"], "stage": row["stage"], "reason": row["message"]}
+        for row in failures.to_pylist()
+    ]
 
 
 def container_bytes(out: Path, sequence: str, metrics: pa.Table) -> int:
