@@ -51,11 +51,14 @@ def calibrate(
     """Refit the sensor model on recorded scans."""
     from salpcc.pipeline.calibrate import calibrate_log
 
-    model, summary = calibrate_log(log, start, scans)
+    found = calibrate_log(log, start, scans, out.stem)
     with atomic(out) as stream:
-        stream.write(model.to_json().encode())
-    typer.echo(summary)
-    typer.echo(f"sensor model: {out}")
+        stream.write(found.model.to_json().encode())
+    typer.echo(
+        f"{found.model.n_lasers} lasers from {found.scans} scans ({found.left_out} left out): gives "
+        f"{found.exact:.2%} of the points back to the millimetre, {start} gives {found.exact_before:.2%}"
+    )
+    typer.echo(f"sensor model: {out}; use it with --sensor {out}")
 
 
 def report(out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run")]) -> None:
