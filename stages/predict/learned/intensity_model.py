@@ -158,7 +158,7 @@ def walk(  # type: ignore[no-untyped-def]
                 n2 > 0, above2, other, index2, n3 > 0, below, index3, q, activity, x, work,
             )  # fmt: skip
             if mode == COLLECT:
-                value = np.int64(intensity[lo + i])
+                value = int(intensity[lo + i])
                 if keep[lo + i]:
                     for p in range(INPUTS):
                         rows_x[rows, p] = np.int16(x[p])
@@ -170,20 +170,20 @@ def walk(  # type: ignore[no-untyped-def]
                     acc[j] = (tables[0, k, j] + tables[1, left, j]) + tables[2, above, j]
                 forward(x, k, first, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
                 frequencies(out, freq)
-                total = np.int64(0)
+                total = 0
                 for v in range(VALUES):
                     total += freq[v]
                 if mode == ENCODE:
-                    value = np.int64(intensity[lo + i])
-                    cum = np.int64(0)
+                    value = int(intensity[lo + i])
+                    cum = 0
                     for v in range(value):
                         cum += freq[v]
                 else:
                     # The largest cumulative count whose scaled start is not after the target.
                     target = decode_target(state, BITS)
                     wanted = (((target + 1) * total + (1 << BITS) - 1) >> BITS) - 1
-                    cum = np.int64(0)
-                    value = np.int64(0)
+                    cum = 0
+                    value = 0
                     while value < VALUES - 1 and cum + freq[value] <= wanted:
                         cum += freq[value]
                         value += 1

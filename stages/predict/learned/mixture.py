@@ -54,11 +54,12 @@ LOGISTIC = _logistic_table()
 
 
 @njit(cache=True, error_model="numpy")
-def set_mixture(out: NDArray[np.float32], mu: F64, mix: F64) -> int:
+def set_mixture(out: NDArray[np.float32], mu: NDArray[np.float32], mix: F64) -> int:
     """Turn network outputs and predictions into components; returns how many there are.
 
     ``mix`` (3, COMPONENTS) gets means in counts, inverse scales, and weights that sum to 1.
-    Outputs: COMPONENTS logits, offsets in units of the scale, log scales; the base and the last return count twice.
+    Outputs: COMPONENTS logits, offsets in units of the scale, log scales; the base and the return to the left
+    count twice.
     """
     largest = out[0]
     for c in range(1, COMPONENTS):
@@ -66,12 +67,12 @@ def set_mixture(out: NDArray[np.float32], mu: F64, mix: F64) -> int:
     n = 0
     total = 0.0
     for c in range(COMPONENTS):
-        depth = np.float64(largest) - np.float64(out[c])
+        depth = float(largest) - float(out[c])
         if depth >= _CUT:
             continue
         weight = WEIGHTS[int(depth * _PER_UNIT)]
-        offset = min(max(np.float64(out[COMPONENTS + c]), -_OFFSET_LIMIT), _OFFSET_LIMIT)
-        log_scale = np.float64(out[2 * COMPONENTS + c]) + _LOG_SCALE_SHIFT
+        offset = min(max(float(out[COMPONENTS + c]), -_OFFSET_LIMIT), _OFFSET_LIMIT)
+        log_scale = float(out[2 * COMPONENTS + c]) + _LOG_SCALE_SHIFT
         log_scale = min(max(log_scale, _LOG_SCALE_LOW), _LOG_SCALE_HIGH)
         s = int((log_scale - _LOG_SCALE_LOW) * _PER_UNIT)
         predictor = c if c < len(mu) else SHARED[c - len(mu)]

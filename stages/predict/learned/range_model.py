@@ -97,9 +97,9 @@ def walk(  # type: ignore[no-untyped-def]
                 frame2, second, index2, value2, has2, height2, quotient, offset, step_value,
                 error0, work, x, mu,
             )  # fmt: skip
-            value = np.int64(0)
+            value = 0
             if mode == COLLECT:
-                value = np.int64(level[lo + i])
+                value = int(level[lo + i])
             else:
                 for j in range(len(acc)):
                     acc[j] = tables[0, k, j]
@@ -110,7 +110,7 @@ def walk(  # type: ignore[no-untyped-def]
                     decode_interval(state, data, low, high - low, BITS)
                     level[lo + i] = value
                 else:
-                    value = np.int64(level[lo + i])
+                    value = int(level[lo + i])
                     low = level_start(mix, n, value, step, levels)
                     high = level_start(mix, n, value + 1, step, levels)
                     encode_interval(state, data, low, high - low, BITS)

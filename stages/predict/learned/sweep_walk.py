@@ -52,9 +52,8 @@ def height_ratio(constants: NDArray[np.float32], k: int) -> float:
     """Elevation of laser k - 2 above laser k in units of that of laser k - 1."""
     if k < 2:
         return 2.0
-    first = np.float64(constants[k - 1, 2] - constants[k, 2])
-    first = max(first, 1e-4)
-    ratio = np.float64(constants[k - 2, 2] - constants[k, 2]) / first
+    first = max(float(constants[k - 1, 2] - constants[k, 2]), 1e-4)
+    ratio = float(constants[k - 2, 2] - constants[k, 2]) / first
     return min(max(ratio, 1.2), 6.0)
 
 

@@ -33,18 +33,21 @@ class _Perceptron(nn.Module):
         sizes = [inputs, width, width, outputs]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         self.tables = nn.ModuleList(nn.Embedding(n, width) for n in rows)
-        for table in self.tables:
-            nn.init.normal_(table.weight, 0.0, 0.02)
-        with torch.no_grad():
-            self.layers[-1].weight *= spread
-            self.layers[-1].bias.zero_()
+        for name, value in self.named_parameters():
+            if name.startswith("tables."):
+                nn.init.normal_(value, 0.0, 0.02)
+            elif name == "layers.2.weight":
+                value.data *= spread
+            elif name == "layers.2.bias":
+                nn.init.zeros_(value)
 
     def hidden(self, x: Tensor, index: tuple[Tensor, ...]) -> Tensor:
         h = self.layers[0](x)
         for table, rows in zip(self.tables, index, strict=True):
             h = h + table(rows)
         h = h.clamp(0, _CAP)
-        return self.layers[1](h).clamp(0, _CAP)
+        out: Tensor = self.layers[1](h).clamp(0, _CAP)
+        return out
 
 
 class RangeNet(_Perceptron):
@@ -122,7 +125,7 @@ def fit(kind: str, rows: Rows, recipe: Recipe, log: Callable[[str], None]) -> nn
     for step in range(steps):
         loss = net.bits(_batch(rows, rng.integers(0, len(rows["y"]), batch)))
         optimiser.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimiser.step()
         schedule.step()

@@ -42,7 +42,7 @@ def test_any_intensities_come_back(returns: Returns, sensor: SensorModel) -> Non
 
 
 def test_an_intensity_above_100_is_refused(returns: Returns, sensor: SensorModel) -> None:
-    with pytest.raises(ValueError, match="0..100"):
+    with pytest.raises(ValueError, match="must lie in 0"):
         encode(returns._replace(intensity=returns.intensity + np.uint8(101)), 1, sensor)
 
 
