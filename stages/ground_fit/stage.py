@@ -14,8 +14,9 @@ from salpcc.stages.ingest.lattice import unproject
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sweep import middle_counts
 
-VERSION = 1
+VERSION = 2
 _MIN_POINTS = 30
+_ENOUGH = 1000  # points beyond these do not move a plane
 
 
 def run(task: pa.Table, config: RunConfig) -> pa.Table:
@@ -29,11 +30,12 @@ def run(task: pa.Table, config: RunConfig) -> pa.Table:
         counts = middle_counts(sweep)[ground]
         points = unproject(sensor, sweep.laser[ground], sweep.tick[ground], counts)
         region = region_of(points)
-        for number in np.unique(region):
-            inside = points[region == number]
+        order = np.argsort(region, kind="stable")
+        numbers, first = np.unique(region[order], return_index=True)
+        for number, inside in zip(numbers, np.split(points[order], first[1:]), strict=True):
             if len(inside) < _MIN_POINTS:
                 continue
-            a, b, d = (float(value) for value in fit_plane(inside))
+            a, b, d = (float(value) for value in fit_plane(inside[:: len(inside) // _ENOUGH + 1]))
             rows.append(
                 {
                     "name": sweep.name,

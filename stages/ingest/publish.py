@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.lattice import NO_CORRECTION, corrections
-from salpcc.stages.ingest.untwist import twist
+from salpcc.stages.ingest.untwist import forward, on_lattice
 
 
 def ordered_bits(values: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -28,21 +28,32 @@ def from_ordered_bits(bits: NDArray[np.int64]) -> NDArray[np.float32]:
     return np.where(bits < 0, bits ^ 0x7FFFFFFF, bits).astype(np.int32).view(np.float32)
 
 
-def raw_points(model: NDArray[np.float64], millimetre: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Round model points ``(M, 3)`` in metres to mm and correct them; int64 ``(M, 3)``."""
-    raw = np.rint(model * 1000.0).astype(np.int64)
-    corrected = np.flatnonzero(millimetre != NO_CORRECTION)
-    raw[corrected] += corrections(millimetre[corrected])
-    return raw
+@njit(cache=True, error_model="numpy")
+def _compensate(
+    model: NDArray[np.float64], millimetre: NDArray[np.uint8], motion: NDArray[np.float64], moving: bool
+) -> NDArray[np.float64]:
+    points = np.empty(model.shape)
+    for i in range(len(model)):
+        code = np.int64(millimetre[i])
+        x = on_lattice(model[i, 0], code // 9 - 1)
+        y = on_lattice(model[i, 1], code // 3 % 3 - 1)
+        z = on_lattice(model[i, 2], code % 3 - 1)
+        if moving:
+            x, y, z = forward(x, y, z, motion)
+        points[i, 0] = x
+        points[i, 1] = y
+        points[i, 2] = z
+    return points
 
 
-def compensated_points(raw: NDArray[np.int64], motion: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """Move raw points ``(M, 3)`` in mm by the motion, in float64 metres.
+def compensated_points(
+    model: NDArray[np.float64], millimetre: NDArray[np.uint8], motion: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Round model points ``(M, 3)`` in metres to 1 mm, correct them, and move them by the motion.
 
-    KITTI stored raw points as float32 before it moved them, so does this.
+    KITTI stored raw points as float32 before it moved them, so does this. Returns float64 ``(M, 3)``.
     """
-    points = (raw / 1000.0).astype(np.float32).astype(np.float64)
-    return points if motion is None else twist(points, motion)
+    return _compensate(model, millimetre, np.zeros(6) if motion is None else motion, motion is not None)
 
 
 def published_points(compensated: NDArray[np.float64], ulp: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.lattice import unproject
 from salpcc.stages.ingest.measure import measure
 from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
-from salpcc.stages.ingest.publish import compensated_points, published_points, raw_points
+from salpcc.stages.ingest.publish import compensated_points, published_points
 from salpcc.stages.ingest.rings import assign_lasers
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist, within_reach
@@ -120,7 +120,7 @@ def _return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float3
     if sweep.max_error > 0:
         points = model if sweep.motion is None else twist(model, sweep.motion)
         return points.astype(np.float32), order
-    compensated = compensated_points(raw_points(model, sweep.millimetre), sweep.motion)
+    compensated = compensated_points(model, sweep.millimetre, sweep.motion)
     return published_points(compensated, sweep.ulp), order
 
 

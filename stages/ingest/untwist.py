@@ -53,7 +53,8 @@ def _rotate(x: float, y: float, z: float, wx: float, wy: float, wz: float) -> tu
 
 
 @njit(cache=True, error_model="numpy")
-def _forward(x: float, y: float, z: float, m: NDArray[np.float64]) -> tuple[float, float, float]:
+def forward(x: float, y: float, z: float, m: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Move one raw point by the motion m."""
     s = arctan2(y, x) / TWO_PI
     px, py, pz = _rotate(x, y, z, s * m[3], s * m[4], s * m[5])
     return px + s * m[0], py + s * m[1], pz + s * m[2]
@@ -100,7 +101,7 @@ def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.f
     n = raw.shape[0]
     out = np.empty((n, 3))
     for i in range(n):
-        x, y, z = _forward(raw[i, 0], raw[i, 1], raw[i, 2], motion)
+        x, y, z = forward(raw[i, 0], raw[i, 1], raw[i, 2], motion)
         out[i, 0] = x
         out[i, 1] = y
         out[i, 2] = z
@@ -108,9 +109,9 @@ def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.f
 
 
 @njit(cache=True, error_model="numpy")
-def _on_lattice(x: float) -> float:
+def on_lattice(x: float, correction: int = 0) -> float:
     """Nearest raw coordinate: float32 of a whole number of millimetres, and no -0.0."""
-    return np.float64(np.float32(np.rint(x * 1000.0) / 1000.0 + 0.0))
+    return np.float64(np.float32((np.rint(x * 1000.0) + correction) / 1000.0 + 0.0))
 
 
 @njit(cache=True, error_model="numpy")
@@ -142,11 +143,11 @@ def _fit(
             py = points[i, 1]
             pz = points[i, 2]
             qx, qy, qz = _inverse(px, py, pz, m, 0)
-            qx = _on_lattice(qx)
-            qy = _on_lattice(qy)
-            qz = _on_lattice(qz)
+            qx = on_lattice(qx)
+            qy = on_lattice(qy)
+            qz = on_lattice(qz)
             s = arctan2(qy, qx) / TWO_PI
-            fx, fy, fz = _forward(qx, qy, qz, m)
+            fx, fy, fz = forward(qx, qy, qz, m)
             ax = fx - s * m[0]
             ay = fy - s * m[1]
             az = fz - s * m[2]
@@ -248,8 +249,8 @@ def _untwist(
             raw[i, 0] = np.int64(np.rint(qx * 1000.0))
             raw[i, 1] = np.int64(np.rint(qy * 1000.0))
             raw[i, 2] = np.int64(np.rint(qz * 1000.0))
-            qx, qy, qz = _on_lattice(qx), _on_lattice(qy), _on_lattice(qz)
-            fx, fy, fz = _forward(qx, qy, qz, motion) if moving else (qx, qy, qz)
+            qx, qy, qz = on_lattice(qx), on_lattice(qy), on_lattice(qz)
+            fx, fy, fz = forward(qx, qy, qz, motion) if moving else (qx, qy, qz)
             again[i, 0] = fx
             again[i, 1] = fy
             again[i, 2] = fz

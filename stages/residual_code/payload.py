@@ -35,6 +35,7 @@ MOTION, CLASSES, FLOAT_INTENSITY = 1, 2, 4
 _FIXED = struct.Struct("<BBBBIIIIddd I 8s 8I")
 _MOTION = struct.Struct("<6d")
 _CRC = struct.Struct("<I")
+_FACTS = struct.Struct("<QQd")
 MAX_POINTS = 1 << 24
 
 
@@ -69,7 +70,9 @@ class Header:
 
 def content_crc(sweep: Sweep) -> int:
     """CRC-32 of all that a sweep decodes to."""
-    crc = 0
+    crc = zlib.crc32(_FACTS.pack(sweep.n_points, sweep.step, sweep.max_error))
+    if sweep.motion is not None:
+        crc = zlib.crc32(_MOTION.pack(*sweep.motion), crc)
     for array, kind in (
         (sweep.laser, "u1"),
         (sweep.tick, "<i4"),

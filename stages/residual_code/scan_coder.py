@@ -14,7 +14,6 @@ from salpcc.stages.ingest.publish import (
     compensated_points,
     float32_boundary,
     millimetre_boundary,
-    raw_points,
 )
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.neighbours import ring_starts
@@ -81,7 +80,7 @@ def encode_scan(
     ]
     if sweep.max_error == 0:
         model = unproject(sensor, sweep.laser, tick, level)
-        points = compensated_points(raw_points(model, sweep.millimetre), sweep.motion)
+        points = compensated_points(model, sweep.millimetre, sweep.motion)
         roundings = (
             (sweep.millimetre, millimetre_boundary(model), models.millimetre),
             (sweep.ulp, float32_boundary(points), models.ulp),
@@ -172,7 +171,7 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
                 )
             )
         if header.ulp_reach >= 0:
-            points = compensated_points(raw_points(model, mm_codes), header.motion)
+            points = compensated_points(model, mm_codes, header.motion)
             ulp_codes = checked(
                 correction_coder.decode_corrections(
                     *float32_boundary(points), header.ulp_reach, models.ulp, ulp
