@@ -1,0 +1,161 @@
+"""The command line as users meet it: output, exit codes, one-line errors."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = [sys.executable, "-m", "salpcc.pipeline.cli"]
+
+
+def cli(*arguments: object, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
+    command = [*COMMAND, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd, check=False)
+
+
+def error_of(result: "subprocess.CompletedProcess[str]") -> str:
+    """The one line on stderr that starts with "error:"; there must be exactly one, and no traceback."""
+    assert "Traceback" not in result.stderr
+    lines = [line for line in result.stderr.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1, result.stderr
+    return lines[0]
+
+
+def test_run_prints_the_report_as_json_and_nothing_else(toy_root: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = cli("run", "sequences", "00,01", "--root", toy_root, "--out", out, "--keep-movable", "--json",
+                 "--workers", 0, "--gop", 2)  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert report == json.loads((out / "report" / "report.json").read_text())
+    assert [report["sequences"][name]["bit_exact_scans"] for name in ("00", "01")] == [5, 3]
+    assert report["errors"] == []
+    assert "dashboard http" in result.stderr
+
+
+def test_run_decode_verify_give_the_files_back(done: Path, toy_root: Path, tmp_path: Path) -> None:
+    archive = done / "archives" / "01.mcap"
+    result = cli("decode", archive, "--to", "kitti", "--out", tmp_path)
+    assert result.returncode == 0, result.stderr
+    there = toy_root / "sequences" / "01" / "velodyne"
+    back = tmp_path / "sequences" / "01" / "velodyne"
+    assert {p.name: p.read_bytes() for p in back.iterdir()} == {
+        p.name: p.read_bytes() for p in there.iterdir()
+    }
+    result = cli("verify", archive, "--against", toy_root, "--json")
+    verdict = json.loads(result.stdout)
+    assert result.returncode == 0
+    assert (verdict["good"], verdict["bit_exact_scans"], verdict["max_error_m"]) == (True, 3, 0.0)
+
+
+def test_decode_takes_frame_numbers(done: Path, tmp_path: Path) -> None:
+    archive = done / "archives" / "01.mcap"  # frames 0, 1, 7
+    assert cli("decode", archive, "--to", "kitti", "--out", tmp_path, "--frames", "1:8").returncode == 0
+    assert sorted(p.stem for p in tmp_path.rglob("*.bin")) == ["000001", "000007"]
+    result = cli("decode", archive, "--to", "kitti", "--out", tmp_path, "--frames", "2:7")
+    assert result.returncode == 2 and "no scan" in error_of(result)
+
+
+def test_damaged_archive_fails_verification(done: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.mcap"
+    data = bytearray((done / "archives" / "00.mcap").read_bytes())
+    data[len(data) // 2] ^= 4
+    bad.write_bytes(data)
+    result = cli("verify", bad)
+    assert result.returncode == 1 and "PROBLEM" in result.stdout and "Traceback" not in result.stderr
+
+
+def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_path: Path) -> None:
+    shutil.copytree(toy_root / "sequences" / "01", tmp_path / "root" / "sequences" / "01")
+    (tmp_path / "root/sequences/01/velodyne/000001.bin").write_bytes(bytes(33))
+    result = cli(
+        "run", "sequences", "01", "--root", tmp_path / "root", "--out", tmp_path / "out", "--workers", 0
+    )
+    assert result.returncode == 1
+    assert "000001.bin: truncated" in result.stderr and "01" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            ["run", "sequences", "04", "--root", "nowhere"],
+            ["nowhere not found", "cvlibs", "--source simulated"],
+        ),
+        (["run", "sequences", "04"], ["--root is missing", "--source simulated"]),
+        (["run", "sequences", "4-2", "--root", "."], ["descends"]),
+        (["run", "sequences", "04", "--source", "tape"], ["--source tape", "semantickitti"]),
+        (["run", "sequences", "04", "--root", ".", "--max-error", "0"], ["--max-error"]),
+        (["run", "sequences", "04", "--root", ".", "--frames", "5"], ["--frames 5", "A:B"]),
+        (["run", "sequences", "04", "--root", ".", "--from", "cook"], ["--from cook", "ingest"]),
+        (
+            ["run", "sequences", "04", "--root", ".", "--from", "predict", "--to", "ingest"],
+            ["other way round"],
+        ),
+        (["run", "sequences", "04", "--root", ".", "--baselines", "magic"], ["magic", "xz"]),
+        (["run", "sequences", "04", "--root", ".", "--manifest", "no.yaml"], ["no.yaml"]),
+        (["run", "log", "x.bag", "--topic", "/points"], ["not in this version"]),
+        (["map", "a.mcap", "--out", "m"], ["not in this version"]),
+        (["report", "nowhere"], ["no report there"]),
+        (["calibrate", "nowhere", "--out", "s.json"], ["nowhere"]),
+    ],
+)
+def test_wrong_use_is_one_line_and_exit_code_2(
+    arguments: list[str], words: list[str], tmp_path: Path
+) -> None:
+    result = cli(*arguments, cwd=tmp_path)
+    line = error_of(result)
+    assert result.returncode == 2 and all(word in line for word in words), line
+
+
+@pytest.mark.parametrize("content", [b"", b"not mcap at all" * 10])
+def test_what_is_no_archive_is_one_line_and_exit_code_1(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.mcap").write_bytes(content)
+    result = cli("inspect", tmp_path / "x.mcap")
+    assert result.returncode == 1 and "x.mcap" in error_of(result)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run"],
+        ["run", "sequences"],
+        ["decode"],
+        ["verify"],
+        ["inspect"],
+        ["calibrate"],
+        ["simulate"],
+        ["report"],
+    ],
+)
+def test_every_command_has_help_and_an_example(command: list[str]) -> None:
+    result = cli(*command, "--help")
+    assert result.returncode == 0
+    assert command == ["run"] or f"salpcc-pipeline {' '.join(command)}" in " ".join(result.stdout.split())
+
+
+def test_inspect_shows_archives_and_shards(done: Path) -> None:
+    archive = json.loads(cli("inspect", done / "archives" / "00.mcap", "--json").stdout)
+    assert archive["scans"] == 5 and archive["totals"]["strays"] == 0
+    assert archive["totals"]["n_points"] == archive["totals"]["kept"] > 10000
+    shard = next((done / "shards").rglob("*.arrow"))
+    assert json.loads(cli("inspect", shard, "--json").stdout)["facts"]["stage"] == "evaluate"
+
+
+def test_calibrate_recovers_the_model(toy_root: Path, tmp_path: Path) -> None:
+    result = cli("calibrate", toy_root, "--out", tmp_path / "mine.json")
+    assert result.returncode == 0, result.stderr
+    assert json.loads((tmp_path / "mine.json").read_text())["name"] == "mine"
+    assert "64 lasers from 8 scans" in result.stdout
+
+
+def test_report_is_rebuilt(done: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    (out / "report" / "report.json").unlink()
+    assert cli("report", out).returncode == 0
+    rebuilt = json.loads((out / "report" / "report.json").read_text())
+    assert rebuilt["sequences"] == json.loads((done / "report" / "report.json").read_text())["sequences"]
