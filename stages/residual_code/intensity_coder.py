@@ -1,7 +1,8 @@
 """Intensity in hundredths, given the ranges: adaptive bits against the neighbours' mean.
 
 The return to the left and those of the ring above predict the intensity the better the nearer their
-range is; where the range jumps, so does the material.
+range is; where the range jumps, so does the material. Each bit is coded by the mean of two contexts:
+mean and spread of the neighbours, and the laser with the mean, since some lasers are brighter.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.residual_code.range_coder import (
-    decode_bit,
-    encode_bit,
+    decode_mixed_bit,
+    encode_mixed_bit,
     finish_encoder,
     start_decoder,
     start_encoder,
@@ -23,6 +24,8 @@ _TREE = 128
 _MEANS = 26
 _SPREADS = 6
 CONTEXTS = _MEANS * _SPREADS * _TREE
+_LASER_MEANS = 16
+LASER_CONTEXTS = 256 * _LASER_MEANS * _TREE
 
 
 @njit(cache=True, error_model="numpy")
@@ -40,8 +43,8 @@ def _context(
     j: int,
     level: NDArray[np.int32],
     value: NDArray[np.uint8],
-) -> int:
-    """Context of return i: mean and spread of its neighbours' intensities."""
+) -> tuple[int, int]:
+    """Contexts of return i: mean and spread of its neighbours' intensities; and the mean, coarser."""
     r = float(level[i])
     total = 0.0
     mean = 0.0
@@ -73,7 +76,8 @@ def _context(
     while spread < _SPREADS - 1 and apart > limit:
         limit *= 2.0
         spread += 1
-    return min(np.int64(mean * 0.25 + 0.5), _MEANS - 1) * _SPREADS + spread
+    fine = min(np.int64(mean * 0.25 + 0.5), _MEANS - 1) * _SPREADS + spread
+    return fine, min(np.int64(mean * 0.15), _LASER_MEANS - 1)
 
 
 @njit(cache=True, error_model="numpy")
@@ -83,6 +87,7 @@ def encode_intensity(
     level: NDArray[np.int32],
     value: NDArray[np.uint8],
     model: NDArray[np.uint16],
+    by_laser: NDArray[np.uint16],
     out: NDArray[np.uint8],
 ) -> int:
     """Encode intensities 0..100 ``(M,)``; return the bytes written to ``out``, -1 if full."""
@@ -94,11 +99,13 @@ def encode_intensity(
         for i in range(begin, starts[k + 1]):
             while j + 1 < begin and tick[j + 1] <= tick[i]:
                 j += 1
-            context = _context(i, begin, above, j, level, value)
+            context, mean = _context(i, begin, above, j, level, value)
+            here = (k * _LASER_MEANS + mean) * _TREE
+            context *= _TREE
             node = 1
             for b in range(6, -1, -1):
                 bit = (np.int64(value[i]) >> b) & 1
-                encode_bit(state, out, model, context * _TREE + node, bit)
+                encode_mixed_bit(state, out, model, context + node, by_laser, here + node, bit)
                 node = node << 1 | bit
         if starts[k + 1] > begin:
             above = begin
@@ -111,6 +118,7 @@ def decode_intensity(
     tick: NDArray[np.int32],
     level: NDArray[np.int32],
     model: NDArray[np.uint16],
+    by_laser: NDArray[np.uint16],
     data: NDArray[np.uint8],
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_intensity`; the values and whether the data sufficed and made sense."""
@@ -123,10 +131,13 @@ def decode_intensity(
         for i in range(begin, starts[k + 1]):
             while j + 1 < begin and tick[j + 1] <= tick[i]:
                 j += 1
-            context = _context(i, begin, above, j, level, value)
+            context, mean = _context(i, begin, above, j, level, value)
+            here = (k * _LASER_MEANS + mean) * _TREE
+            context *= _TREE
             node = 1
-            for _bit in range(7):
-                node = node << 1 | decode_bit(state, data, model, context * _TREE + node)
+            for _ in range(7):
+                bit = decode_mixed_bit(state, data, model, context + node, by_laser, here + node)
+                node = node << 1 | bit
             if node - _TREE >= LEVELS:
                 return value, False
             value[i] = node - _TREE

@@ -53,29 +53,37 @@ class AdaptiveModels:
     sensor: SensorModel
     weights: bytes = NO_WEIGHTS
     levels: NDArray[np.uint16] = field(default_factory=lambda: new_bits(level_coder.CONTEXTS))
+    recent: NDArray[np.uint16] = field(default_factory=lambda: new_bits(level_coder.CONTEXTS_BEFORE))
     intensity: NDArray[np.uint16] = field(default_factory=lambda: new_bits(intensity_coder.CONTEXTS))
+    by_laser: NDArray[np.uint16] = field(default_factory=lambda: new_bits(intensity_coder.LASER_CONTEXTS))
 
     def encode_levels(self, sweep: Sweep, starts: Starts, predicted: Prediction, out: Bytes) -> int:
         assert predicted.level is not None and predicted.spread is not None
         return int(
-            level_coder.encode_levels(sweep.count, predicted.level, predicted.spread, self.levels, out)
+            level_coder.encode_levels(
+                starts, sweep.count, predicted.level, predicted.spread, self.levels, self.recent, out
+            )
         )
 
     def decode_levels(self, starts: Starts, tick: Ticks, step: int, data: Bytes) -> tuple[Ticks, bool]:
         level, sound = level_coder.decode_levels(
-            starts, tick, step, laser_table(self.sensor), self.levels, data
+            starts, tick, step, laser_table(self.sensor), self.levels, self.recent, data
         )
         return level, bool(sound)
 
     def encode_intensity(self, sweep: Sweep, starts: Starts, values: Bytes, out: Bytes) -> int:
         return int(
-            intensity_coder.encode_intensity(starts, sweep.tick, sweep.count, values, self.intensity, out)
+            intensity_coder.encode_intensity(
+                starts, sweep.tick, sweep.count, values, self.intensity, self.by_laser, out
+            )
         )
 
     def decode_intensity(
         self, starts: Starts, tick: Ticks, level: Ticks, step: int, data: Bytes
     ) -> tuple[Bytes, bool]:
-        values, sound = intensity_coder.decode_intensity(starts, tick, level, self.intensity, data)
+        values, sound = intensity_coder.decode_intensity(
+            starts, tick, level, self.intensity, self.by_laser, data
+        )
         return values, bool(sound)
 
 

@@ -93,6 +93,33 @@ def encode_bit(
 
 
 @njit(cache=True)
+def encode_mixed_bit(
+    state: NDArray[np.int64],
+    out: NDArray[np.uint8],
+    first: NDArray[np.uint16],
+    i: int,
+    second: NDArray[np.uint16],
+    j: int,
+    bit: int,
+) -> None:
+    """Encode one bit by the mean of two contexts, ``first[i]`` and ``second[j]``, and adapt both."""
+    a = np.int64(first[i, 0])
+    b = np.int64(first[i, 1])
+    c = np.int64(second[j, 0])
+    d = np.int64(second[j, 1])
+    zero = min(max((a + b + c + d) >> 2, 32), 65504)
+    width = state[1]
+    bound = (width >> 16) * zero
+    one = -np.int64(bit)
+    goal = 65535 & ~one
+    first[i, 0] = a + ((goal - a) >> _FAST)
+    first[i, 1] = b + ((goal - b) >> _SLOW)
+    second[j, 0] = c + ((goal - c) >> _FAST)
+    second[j, 1] = d + ((goal - d) >> _SLOW)
+    _renormalise_encoder(state[0] + (bound & one), bound + ((width - bound - bound) & one), state, out)
+
+
+@njit(cache=True)
 def finish_encoder(state: NDArray[np.int64], out: NDArray[np.uint8]) -> int:
     """Flush; return the number of bytes written, or -1 if the buffer was too small."""
     for _ in range(6):
@@ -164,5 +191,34 @@ def decode_bit(
     goal = 65535 & ~one
     model[context, 0] = fast + ((goal - fast) >> _FAST)
     model[context, 1] = slow + ((goal - slow) >> _SLOW)
+    _renormalise_decoder(code - (bound & one), bound + ((width - bound - bound) & one), state, data)
+    return bit
+
+
+@njit(cache=True)
+def decode_mixed_bit(
+    state: NDArray[np.int64],
+    data: NDArray[np.uint8],
+    first: NDArray[np.uint16],
+    i: int,
+    second: NDArray[np.uint16],
+    j: int,
+) -> int:
+    """Decode one bit; inverse of :func:`encode_mixed_bit`."""
+    a = np.int64(first[i, 0])
+    b = np.int64(first[i, 1])
+    c = np.int64(second[j, 0])
+    d = np.int64(second[j, 1])
+    zero = min(max((a + b + c + d) >> 2, 32), 65504)
+    code = state[0]
+    width = state[1]
+    bound = (width >> 16) * zero
+    bit = np.int64(code >= bound)
+    one = -bit
+    goal = 65535 & ~one
+    first[i, 0] = a + ((goal - a) >> _FAST)
+    first[i, 1] = b + ((goal - b) >> _SLOW)
+    second[j, 0] = c + ((goal - c) >> _FAST)
+    second[j, 1] = d + ((goal - d) >> _SLOW)
     _renormalise_decoder(code - (bound & one), bound + ((width - bound - bound) & one), state, data)
     return bit
