@@ -46,7 +46,7 @@ def new_state(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray
     return np.zeros(n), np.zeros(n), np.zeros((n, N_PREDICTORS), np.float32)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _upper_at(
     azimuth: float, j: int, begin: int, end: int, inverse: NDArray[np.float64], azimuths: NDArray[np.float64]
 ) -> float:
@@ -67,7 +67,7 @@ def _upper_at(
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def predict_return(
     i: int,
     begin: int,
@@ -157,7 +157,7 @@ def predict_return(
     return ranged, spread + 0.25 * min(apart, 4.0 * spread), j
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def learn_return(
     i: int,
     range_counts: float,
