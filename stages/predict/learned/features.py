@@ -226,7 +226,7 @@ def point_features(
         work[_U + k] = u
         d = inverse[np.uint64(o + k)] - w1
         work[_D + k] = d
-        work[_P + k] = _ONE / (_ONE + u * u * _SLOT_DECAY)
+        work[_P + k] = _ONE
     for k in range(LEFT - n_left):
         work[_D + k] = _ZERO
         work[_P + k] = _ZERO
@@ -238,7 +238,7 @@ def point_features(
             d = inverse1[np.uint64(o + k)] - w1
             work[_U + LEFT + k] = u
             work[_D + LEFT + k] = d
-            work[_P + LEFT + k] = _ONE / (_ONE + u * u * _SLOT_DECAY)
+            work[_P + LEFT + k] = _ONE
     else:
         for k in range(UPPER):
             work[_U + LEFT + k] = _ZERO
@@ -252,7 +252,7 @@ def point_features(
             d = inverse2[np.uint64(o + k)] - w1
             work[_U + LEFT + UPPER + k] = u
             work[_D + LEFT + UPPER + k] = d
-            work[_P + LEFT + UPPER + k] = _HALF / (_ONE + u * u * _SLOT_DECAY)
+            work[_P + LEFT + UPPER + k] = _HALF
     else:
         for k in range(SECOND):
             work[_U + LEFT + UPPER + k] = _ZERO
@@ -260,8 +260,10 @@ def point_features(
             work[_P + LEFT + UPPER + k] = _ZERO
 
     for k in range(SLOTS):
-        work[_UU + k] = work[_U + k] * work[_U + k]
+        uu = work[_U + k] * work[_U + k]
+        work[_UU + k] = uu
         work[_UD + k] = work[_U + k] * work[_D + k]
+        work[_P + k] = work[_P + k] / (_ONE + uu * _SLOT_DECAY)
     noise = _NOISE * w1 * w1
     tight = _ONE / (_TIGHT * w1 + noise)
     _weigh(work, _D, shift1, _ONE / (_WIDE_UP * w1 + noise))
