@@ -7,14 +7,17 @@ import resource
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from salpcc.pipeline.isolate import only, run_isolated
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import ShardError
 from salpcc.schemas.shards import OF_STAGE, facts_of
 from salpcc.schemas.work import STAGES, GopSource, ScanError, ShardRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
@@ -47,7 +50,7 @@ RUN: dict[str, Callable[..., pa.Table]] = {
     "predict": predict.run,
     "residual_code": residual_code.run,
 }
-_warm: set[tuple[str, str]] = set()
+_warm: set[str] = set()
 
 
 @dataclass(frozen=True)
@@ -91,72 +94,90 @@ def run_stage(
 ) -> GopResult:
     """Run one stage on one GOP, unless its shard is there already.
 
-    A kernel that fails loses this GOP, not the run: the reason travels on in ``errors``. A disk that
-    fails ends the run; the same command goes on from there.
+    A scan that breaks a kernel is left out, a GOP that breaks it is lost, and the reasons travel on in
+    ``errors``; such shards are made again the next time. A disk that fails ends the run; the same command
+    goes on from there.
     """
     if before.failed:
         return before
     store = ShardStore(out)
     digest = digest_of(before.digest, stage, VERSIONS[stage])
     ref = store.ref(gop.sequence, stage, gop.number, digest)
-    if store.has(ref) and not redo:
-        facts: dict[str, Any] = store.facts(ref)
-    else:
-        shards = dict(before.shards)
-        read = [store.read(shards[name]) for name in INPUTS[stage]]
-        inputs: list[Any] = [table for table, _ in read] or [gop]
-        facts = dict(read[-1][1]) if read else {"errors": [], "times": [], "peak_mb": 0.0}
+    facts = store.facts(ref) if store.has(ref) and not redo else None
+    if facts is None or any(error["stage"] != "ingest" for error in facts["errors"]):
         try:
-            table, times = _timed(stage, inputs, config)
-        except Exception as error:  # noqa: BLE001
+            table, facts = _work(
+                stage, [store.read(dict(before.shards)[name]) for name in INPUTS[stage]], gop, config
+            )
+        except (OSError, ShardError):
+            raise
+        except Exception as error:  # noqa: BLE001 (a kernel's; the other GOPs go on)
             return lost(stage, before, gop, error)
-        if not read:
-            facts["errors"] = facts_of(table.schema)["errors"]
         store.write(
-            ref,
-            table,
-            {
-                "stage": stage,
-                "stage_version": VERSIONS[stage],
-                "config": config.digest,
-                "errors": facts["errors"],
-                "times": [
-                    *facts["times"],
-                    [stage, table.num_rows if stage == "ingest" else inputs[0].num_rows, *times],
-                ],
-                "peak_mb": max(facts["peak_mb"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
-            },
+            ref, table, {"stage": stage, "stage_version": VERSIONS[stage], "config": config.digest, **facts}
         )
     errors = tuple(ScanError(**error) for error in facts["errors"])
     return replace(before, digest=digest, shards=(*before.shards, (stage, ref)), errors=errors)
 
 
-def _timed(stage: str, inputs: list[Any], config: RunConfig) -> tuple[pa.Table, tuple[float, float]]:
-    """Run a stage's kernels; CPU and wall milliseconds exclude the compilation of numba functions."""
-    if stage != "ingest" and inputs[0].num_rows == 0:
-        return OF_STAGE[stage].empty_table(), (0.0, 0.0)
-    if (stage, config.digest) not in _warm:
-        _warm_up(stage, inputs, config)
-        _warm.add((stage, config.digest))
+def _work(
+    stage: str, read: list[tuple[pa.Table, dict[str, Any]]], gop: GopSource, config: RunConfig
+) -> tuple[pa.Table, dict[str, Any]]:
+    """Run one stage; returns its table and the facts of the GOP so far: errors, times, peak memory."""
+    facts: dict[str, Any] = read[-1][1] if read else {"errors": [], "times": [], "peak_mb": 0.0}
+    errors = list(facts["errors"])
+    if stage == "ingest":
+        table, times = _timed(
+            stage, lambda few: ingest.run(replace(gop, scans=gop.scans[: 2 if few else None]), config)
+        )
+        errors += facts_of(table.schema)["errors"]
+        scans = table.num_rows
+    else:
+        dead = {error["scan"] for error in errors}
+        alive = {scan.name for scan in gop.scans} - dead
+        tables = only([table for table, _ in read], alive)
+        scans = tables[0].num_rows
+        guilty: dict[str, Exception] = {}
+
+        def run(few: bool) -> pa.Table:
+            if few:
+                return RUN[stage](*only(tables, set(tables[0].column("name").to_pylist()[:2])), config)
+            result, found = run_isolated(lambda some: RUN[stage](*some, config), tables)
+            guilty.update(found)
+            return result
+
+        table, times = _timed(stage, run) if scans else (OF_STAGE[stage].empty_table(), (0.0, 0.0))
+        errors += [vars(_error(stage, gop, name, error)) for name, error in guilty.items()]
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return table, {
+        "errors": errors,
+        "times": [*facts["times"], [stage, scans, *times]],
+        "peak_mb": max(facts["peak_mb"], peak),
+    }
+
+
+def _timed(stage: str, run: Callable[[bool], pa.Table]) -> tuple[pa.Table, tuple[float, float]]:
+    """Run ``run(False)``: its table, and CPU and wall milliseconds without the compilation by numba.
+
+    The first time in a process, ``run(True)`` (two scans only) goes before for nothing, so that all is compiled.
+    """
+    if stage not in _warm:
+        _warm.add(stage)
+        with suppress(Exception):  # the real run will say what is wrong
+            run(True)
     cpu, wall = time.process_time(), time.perf_counter()
-    table = RUN[stage](*inputs, config)
+    table = run(False)
     return table, (1e3 * (time.process_time() - cpu), 1e3 * (time.perf_counter() - wall))
 
 
-def _warm_up(stage: str, inputs: list[Any], config: RunConfig) -> None:
-    """Run the first two scans for nothing, so that numba has compiled what the clock should not see."""
-    first = inputs[0]
-    few = replace(first, scans=first.scans[:2]) if stage == "ingest" else first.slice(0, 2)
-    try:
-        RUN[stage](few, *inputs[1:], config)
-    except Exception:  # noqa: BLE001 (the real run will say what is wrong)
-        return
+def _error(stage: str, gop: GopSource, scan: str, error: Exception) -> ScanError:
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    reason = f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
+    return ScanError(gop.sequence, scan, stage, reason)
 
 
 def lost(stage: str, before: GopResult, gop: GopSource, error: Exception) -> GopResult:
     """Turn an exception of a kernel into one error per scan that was still alive."""
-    where = traceback.extract_tb(error.__traceback__)[-1]
-    reason = f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
     dead = {e.scan for e in before.errors}
-    lost = tuple(ScanError(gop.sequence, s.name, stage, reason) for s in gop.scans if s.name not in dead)
+    lost = tuple(_error(stage, gop, scan.name, error) for scan in gop.scans if scan.name not in dead)
     return replace(before, errors=(*before.errors, *lost), failed=True)

@@ -27,6 +27,8 @@ def run(task: pa.Table, config: RunConfig) -> pa.Table:
         if sweep.classes is None:
             continue
         ground = np.flatnonzero(GROUP_OF_CLASS[sweep.classes] == GROUND)
+        if not len(ground):
+            continue
         counts = middle_counts(sweep)[ground]
         points = unproject(sensor, sweep.laser[ground], sweep.tick[ground], counts)
         region = region_of(points)

@@ -142,21 +142,41 @@ def test_mended_scans_are_done_when_they_are_there(
     assert archives(tmp_path / "out")["00.mcap"] == archives(done)["00.mcap"]
 
 
-def test_a_stage_that_breaks_costs_its_gop_and_is_tried_again(
+def broken(stage: str, scans: set[str]) -> Callable[..., object]:
+    """A stage that breaks whenever one of ``scans`` is among its rows."""
+    real = tasks.RUN[stage]
+
+    def breaks(task, *others):  # type: ignore[no-untyped-def]
+        if scans & set(task.column("name").to_pylist()):
+            raise ZeroDivisionError("odd plane")
+        return real(task, *others)
+
+    return breaks
+
+
+@pytest.mark.parametrize("stage", ["segment", "ground_fit", "predict", "residual_code"])
+def test_a_scan_that_breaks_a_stage_costs_itself_and_is_tried_again(
+    stage: str, done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph = GraphOptions(keep_shards=True)
+    with monkeypatch.context() as patch:
+        patch.setitem(tasks.RUN, stage, broken(stage, {"000002"}))
+        result = run(toy_root, tmp_path, "00", graph=graph)
+    assert [(e.scan, e.stage) for e in result.errors] == [("000002", stage)]
+    assert "odd plane" in result.errors[0].reason
+    verdict = verify(tmp_path / "archives" / "00.mcap", toy_root)
+    assert verdict.good and verdict.bit_exact_scans == 4
+    assert not run(toy_root, tmp_path, "00", graph=graph).failed
+    assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
+
+
+def test_a_gop_that_breaks_a_stage_leaves_the_other_gops(
     done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = tasks.RUN["predict"]
-
-    def breaks(task, planes, config):  # type: ignore[no-untyped-def]
-        if "000002" in task.column("name").to_pylist():
-            raise ZeroDivisionError("odd plane")
-        return real(task, planes, config)
-
     with monkeypatch.context() as patch:
-        patch.setitem(tasks.RUN, "predict", breaks)
+        patch.setitem(tasks.RUN, "predict", broken("predict", {"000002", "000003"}))
         result = run(toy_root, tmp_path, "00")
     assert [(e.scan, e.stage) for e in result.errors] == [("000002", "predict"), ("000003", "predict")]
-    assert "odd plane" in result.errors[0].reason
     names = [[e.name for e in gop] for gop in ArchiveReader(tmp_path / "archives" / "00.mcap").gops]
     assert names == [["000000", "000001"], [], ["000004"]]
     assert not run(toy_root, tmp_path, "00").failed
