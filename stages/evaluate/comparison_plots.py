@@ -114,7 +114,8 @@ def _styles(curves: Curves) -> list[tuple[str, dict[str, Any]]]:
     styles: list[tuple[str, dict[str, Any]]] = []
     for name in (n for n in curves if n != OURS):
         place = places.get(name, len(places))
-        colour, marker = COLOURS[place % len(COLOURS)], _MARKERS[place % len(_MARKERS)]
+        colour = COLOURS[place % len(COLOURS)]
+        marker = _MARKERS[(place + place // len(COLOURS)) % len(_MARKERS)]  # no pair twice
         styles.append((name, {"color": colour, "marker": marker, "markersize": 5}))
     if OURS in curves:
         ours = {"color": ACCENT, "marker": "o", "markersize": 6, "linewidth": 2.2, "zorder": 5}
