@@ -26,39 +26,39 @@ _LEVEL_FLOOR = 2.0**-BITS  # every level keeps at least this share of the interv
 
 
 class _Perceptron(nn.Module):
-    """Two hidden layers with clipped ReLU; tables of biases for the first layer, one for the last."""
+    """Hidden layers with clipped ReLU; tables of biases for the first layer, one for the last."""
 
-    def __init__(self, inputs: int, width: int, outputs: int, rows: tuple[int, ...], spread: float) -> None:
+    def __init__(self, sizes: list[int], rows: tuple[int, ...], spread: float) -> None:
         super().__init__()
-        sizes = [inputs, width, width, outputs]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
-        self.tables = nn.ModuleList(nn.Embedding(n, width) for n in rows)
+        self.tables = nn.ModuleList(nn.Embedding(n, sizes[1]) for n in rows)
+        last = f"layers.{len(sizes) - 2}"
         for name, value in self.named_parameters():
             if name.startswith("tables."):
                 nn.init.normal_(value, 0.0, 0.02)
-            elif name == "layers.2.weight":
+            elif name == f"{last}.weight":
                 value.data *= spread
-            elif name == "layers.2.bias":
+            elif name == f"{last}.bias":
                 nn.init.zeros_(value)
 
-    def hidden(self, x: Tensor, index: tuple[Tensor, ...]) -> Tensor:
-        h = self.layers[0](x)
+    def outputs(self, x: Tensor, index: tuple[Tensor, ...]) -> Tensor:
+        h: Tensor = self.layers[0](x)
         for table, rows in zip(self.tables, index, strict=True):
             h = h + table(rows)
-        h = h.clamp(0, _CAP)
-        out: Tensor = self.layers[1](h).clamp(0, _CAP)
-        return out
+        for layer in self.layers[1:]:
+            h = layer(h.clamp(0, _CAP))
+        return h
 
 
 class RangeNet(_Perceptron):
     """Components of the mixture of :mod:`.mixture` from the features of :mod:`.features`."""
 
-    def __init__(self, width: int) -> None:
-        super().__init__(INPUTS, width, 3 * COMPONENTS, (64,), 0.1)
+    def __init__(self, width: int, layers: int) -> None:
+        super().__init__([INPUTS, *[width] * layers, 3 * COMPONENTS], (64,), 0.1)
 
     def bits(self, rows: dict[str, Tensor]) -> Tensor:
         """Mean code length in bits."""
-        out = self.layers[2](self.hidden(rows["x"], (rows["laser"],)))
+        out = self.outputs(rows["x"], (rows["laser"],))
         logits = functional.log_softmax(out[:, :COMPONENTS], 1)
         offset = out[:, COMPONENTS : 2 * COMPONENTS].clamp(-8, 8)
         inverse = torch.exp(-(out[:, 2 * COMPONENTS :] + 2).clamp(-2, 9))
@@ -79,14 +79,14 @@ class IntensityNet(_Perceptron):
     """Logits of the 101 values from the features of :mod:`.intensity_features`."""
 
     def __init__(self, width: int) -> None:
-        super().__init__(INTENSITY_INPUTS, width, OUTPUTS, (64, VALUES, VALUES), 0.3)
+        super().__init__([INTENSITY_INPUTS, width, width, OUTPUTS], (64, VALUES, VALUES), 0.3)
         self.last_table = nn.Embedding(64, OUTPUTS)
         nn.init.zeros_(self.last_table.weight)
 
     def bits(self, rows: dict[str, Tensor]) -> Tensor:
         """Mean code length in bits; the link is that of ``intensity_model.frequencies``."""
         index = (rows["laser"], rows["side"][:, 0], rows["side"][:, 1])
-        out = self.layers[2](self.hidden(rows["x"], index)) + self.last_table(rows["laser"])
+        out = self.outputs(rows["x"], index) + self.last_table(rows["laser"])
         out = out[:, :VALUES]
         out = out - out.amax(1, keepdim=True).detach()
         frequency = (1 + out / 16).clamp(min=0).pow(16) * 16384 + 1
@@ -112,7 +112,11 @@ def fit(kind: str, rows: Rows, recipe: Recipe, log: Callable[[str], None]) -> nn
     rng = np.random.default_rng(recipe.seed)
     net: RangeNet | IntensityNet
     if kind == "ranges":
-        net, steps, batch = RangeNet(recipe.range_width), recipe.optimiser_steps, recipe.batch
+        net, steps, batch = (
+            RangeNet(recipe.range_width, recipe.range_layers),
+            recipe.optimiser_steps,
+            recipe.batch,
+        )
     else:
         net, steps, batch = (
             IntensityNet(recipe.intensity_width),

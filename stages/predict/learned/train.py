@@ -36,16 +36,18 @@ class Recipe:
     """How one effort level is trained.
 
     Attributes:
-        range_width, intensity_width: units of each of the two hidden layers; multiples of 8.
+        range_width, intensity_width: units of each hidden layer; multiples of 8.
+        range_layers: hidden layers of the range network; intensity has two.
         optimiser_steps, batch: of AdamW with a one-cycle learning rate up to ``rate``.
         share: part of the returns used at step 1; ``coarse_share`` at each coarser step.
         seed: of the weights, the choice of returns and the batches.
     """
 
     range_width: int = 64
+    range_layers: int = 2
     intensity_width: int = 48
     optimiser_steps: int = 9000
-    intensity_steps: int = 4000
+    intensity_steps: int = 8000
     batch: int = 8192
     intensity_batch: int = 4096
     rate: float = 3e-3
@@ -54,7 +56,10 @@ class Recipe:
     seed: int = 0
 
 
-RECIPES = {"default": Recipe(), "max": Recipe(range_width=192, intensity_width=96, batch=4096)}
+RECIPES = {
+    "default": Recipe(),
+    "max": Recipe(128, 3, 96, optimiser_steps=10000, intensity_steps=8000, batch=4096),
+}
 STEPS = (5, 10, 20)
 ODD_STEPS = (2, 3, 4, 7, 9, 14, 19, 30, 50)
 

@@ -1,0 +1,50 @@
+"""Training makes weights that code, and code better than before training."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.predict.learned.network import load_network
+from salpcc.stages.predict.learned.range_model import decode_ranges, encode_ranges
+from salpcc.stages.predict.learned.train import Recipe, train_coder
+
+from .conftest import Returns
+
+
+def coded(path: Path, returns: Returns, sensor: SensorModel) -> int:
+    network = load_network(path)
+    out = np.zeros(4 * len(returns.tick) + 64, np.uint8)
+    written = encode_ranges(returns.starts, returns.tick, returns.count, 1, sensor, network, out)
+    level, sound = decode_ranges(returns.starts, returns.tick, 1, sensor, network, out[:written].copy())
+    assert sound
+    np.testing.assert_array_equal(level, returns.count)
+    return written
+
+
+def test_more_training_makes_fewer_bytes(
+    make_scan: Callable[..., Scan], returns: Returns, sensor: SensorModel, tmp_path: Path
+) -> None:
+    pytest.importorskip("torch", reason="training needs the 'train' extra")
+    sweeps = [scan_to_sweep(make_scan(seed=9, stride=8, motion=None), sensor)]
+    sizes = []
+    for steps in (2, 150):
+        recipe = Recipe(
+            range_width=16, intensity_width=8, optimiser_steps=steps, intensity_steps=2, batch=512,
+            intensity_batch=64,
+        )  # fmt: skip
+        out = tmp_path / str(steps)
+        ranges, _ = train_coder(sweeps, sensor, out, recipe=recipe, log=lambda _: None)
+        sizes.append(coded(ranges, returns, sensor))
+    assert sizes[1] < 0.95 * sizes[0]
+
+
+def test_no_sweeps_is_an_error(sensor: SensorModel, tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="training needs the 'train' extra")
+    with pytest.raises(UsageError, match="no sweeps"):
+        train_coder([], sensor, tmp_path)
