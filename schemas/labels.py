@@ -61,7 +61,7 @@ def classes_of_labels(labels: NDArray[np.uint32]) -> NDArray[np.uint8]:
         ValueError: a label id is not one of SemanticKITTI's.
     """
     ids = labels & 0xFFFF
-    classes = _CLASS_OF_ID[ids]
+    classes: NDArray[np.uint8] = _CLASS_OF_ID[ids]
     if (classes == _UNKNOWN).any():
         unknown = int(ids[classes == _UNKNOWN][0])
         raise ValueError(f"label id {unknown} is not a SemanticKITTI class")
