@@ -8,6 +8,8 @@ and a point that would not come back exactly becomes a stray with its own float3
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,10 +60,10 @@ def _sweep(
     motion: NDArray[np.float64] | None,
     on: NDArray[np.int64],
     laser: NDArray[np.int64],
-    tick: NDArray[np.int64],
-    count: NDArray[np.int64],
-    millimetre: NDArray[np.int64],
-    ulp: NDArray[np.int64],
+    tick: NDArray[np.integer[Any]],
+    count: NDArray[np.integer[Any]],
+    millimetre: NDArray[np.integer[Any]],
+    ulp: NDArray[np.integer[Any]],
 ) -> Sweep:
     """Build the sweep whose returns are the points ``on``; the others are strays."""
     off = np.ones(len(scan), np.bool_)

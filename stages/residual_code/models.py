@@ -36,7 +36,8 @@ NO_WEIGHTS = bytes(8)
 class ValueModels(Protocol):
     """Codes range levels and intensities; encoders return bytes written (-1: no room), decoders success."""
 
-    weights: bytes
+    @property
+    def weights(self) -> bytes: ...
 
     def encode_levels(self, sweep: Sweep, starts: Starts, predicted: Prediction, out: Bytes) -> int: ...
     def decode_levels(self, starts: Starts, tick: Ticks, step: int, data: Bytes) -> tuple[Ticks, bool]: ...

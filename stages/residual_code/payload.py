@@ -144,7 +144,20 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
     )
     if not sound:
         raise ArchiveError("payload has a header that cannot be")
-    header = Header(flags, EFFORTS[effort], n_points, returns, strays, step, *fields[8:13], motion)
+    header = Header(
+        flags=flags,
+        effort=EFFORTS[effort],
+        n_points=n_points,
+        returns=returns,
+        strays=strays,
+        step=step,
+        max_error=fields[8],
+        millimetre_reach=fields[9],
+        ulp_reach=fields[10],
+        content_crc=fields[11],
+        weights=fields[12],
+        motion=motion,
+    )
     streams = []
     for length in lengths:
         streams.append(data[position : position + length])

@@ -33,7 +33,7 @@ def snap(points: NDArray[np.float32], max_error: float) -> NDArray[np.float32]:
         centres = (np.rint(points.astype(np.float64) / step) * step + 0.0).astype(np.float32)  # no -0.0
         off = np.sqrt(((centres.astype(np.float64) - points) ** 2).sum(axis=1))
         usable = (off <= max_error) & (np.abs(points) < _MAX_INDEX * step).all(axis=1)
-    return np.where(usable[:, None], centres, points)
+    return np.where(np.asarray(usable)[:, None], centres, points)
 
 
 def _integers(values: NDArray[np.float32], step: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -42,7 +42,7 @@ def _integers(values: NDArray[np.float32], step: float) -> tuple[NDArray[np.int6
     if step == 0.0:
         return bits, np.ones(len(values), np.bool_)
     with np.errstate(invalid="ignore"):
-        near = np.isfinite(values).all(axis=1) & (np.abs(values) < _MAX_INDEX * step).all(axis=1)
+        near = np.asarray((np.abs(values) < _MAX_INDEX * step).all(axis=1))  # NaN is not
         index = np.rint(np.where(near[:, None], values, 0.0).astype(np.float64) / step).astype(np.int64)
         on_grid = near & ((index * step).astype(np.float32).view(np.int32) == values.view(np.int32)).all(
             axis=1
