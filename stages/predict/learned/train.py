@@ -7,7 +7,7 @@ rounding the weights afterwards costs under 0.005 bits a point and no retraining
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.ingest.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.export import quantize_network
 from salpcc.stages.predict.learned.intensity_model import collect_intensity
 from salpcc.stages.predict.learned.network import Network, save_network
@@ -62,6 +64,18 @@ RECIPES = {
 }
 STEPS = (5, 10, 20)
 ODD_STEPS = (2, 3, 4, 7, 9, 14, 19, 30, 50)
+
+
+def read_sweeps(root: Path, sensor: SensorModel) -> Iterator[Sweep]:
+    """Read every scan of every source below ``root`` onto its lattice; scans that do not fit are left out."""
+    for source in SOURCES.values():
+        for sequence in source.sequences(root):
+            motion = None
+            for reference in source.scans(root, sequence):
+                sweep = scan_to_sweep(source.read(reference, with_labels=False), sensor, motion)
+                motion = sweep.motion
+                if len(sweep.laser):
+                    yield sweep
 
 
 def collect(sweeps: Iterable[Sweep], sensor: SensorModel, recipe: Recipe) -> tuple[Rows, Rows]:
