@@ -77,20 +77,26 @@ def _branched(s: float, branch: int) -> float:
 def _inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -> tuple[float, float, float]:
     """Solve P(q) = (x, y, z) for q. ``branch`` of 1 or -1 moves s there by a turn.
 
-    Undoing the motion turns the azimuth by about ``c s`` turns, so ``s = s0 / (1 - c)`` to first order; one
-    Newton step from there leaves well under a micrometre beyond 2 m. Nearer points iterate.
+    Undoing the motion turns the azimuth by about ``c s`` turns, so ``s = s0 / (1 - c)`` to first order, and
+    Newton steps from there converge at once. Points within 2 m of the axis iterate.
     """
     s0 = _branched(arctan2(y, x) / TWO_PI, branch)
     rho2 = x * x + y * y
     c = ((y * m[0] - x * m[1]) / rho2 - m[5]) * (1.0 / TWO_PI)
     s = s0 / (1.0 - c)
     qx, qy, qz = _turned_back(x, y, z, s, m)
-    t = (x * qy - y * qx) / (x * qx + y * qy)
-    if rho2 > 4.0 and abs(t) < 0.1:
-        t2 = t * t
-        angle = t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0))))
-        s += (s0 + angle * (1.0 / TWO_PI) - s) / (1.0 - c)
-        return _turned_back(x, y, z, s, m)
+    if rho2 > 4.0:
+        for _ in range(4):
+            t = (x * qy - y * qx) / (x * qx + y * qy)
+            t2 = t * t
+            angle = t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0))))
+            change = (s0 + angle * (1.0 / TWO_PI) - s) / (1.0 - c)
+            s += change
+            qx, qy, qz = _turned_back(x, y, z, s, m)
+            if abs(change) < 1e-5:
+                break
+        if abs(t) < 0.2:
+            return qx, qy, qz
     for _ in range(12):
         s = _branched(arctan2(qy, qx) / TWO_PI, branch)
         qx, qy, qz = _turned_back(x, y, z, s, m)
