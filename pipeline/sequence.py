@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import resource
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_scans
 from salpcc.pipeline.encode import payloads_of
@@ -18,10 +21,11 @@ from salpcc.pipeline.tasks import VERSIONS, GopResult, file_digest, lost
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import atomic
+from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import GopSource, ScanRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
-from salpcc.stages.evaluate.baselines.measure import measure_scans
+from salpcc.stages.evaluate.baselines.apart import measure_scans
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanPayload
@@ -97,20 +101,29 @@ def _payloads(store: ShardStore, result: GopResult) -> list[ScanPayload]:
 
 
 def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo: bool) -> GopResult:
-    """Decode one GOP from the archive and measure it against its source; the result is a METRICS shard."""
+    """Decode one GOP from the archive and measure it against its source; the result is a METRICS shard.
+
+    The shard is named by what the archive holds of the GOP, too: the same inputs give another archive when
+    scans that failed are tried again.
+    """
     store = ShardStore(out)
-    digest = digest_of(inputs, "evaluate", VERSIONS["evaluate"], gop.number)
-    ref = store.ref(gop.sequence, "evaluate", gop.number, digest)
-    result = GopResult(inputs, digest, (("evaluate", ref),))
-    if store.has(ref) and not redo:
-        return result
+    result = GopResult(inputs, inputs)
     try:
         reader = ArchiveReader(archive_path(out, gop.sequence))
-        entries = reader.gops[gop.number]
+        payloads = reader.payloads(gop.number)
+        content = [[vars(payload.entry), zlib.crc32(payload.data)] for payload in payloads]
+        digest = digest_of(inputs, "evaluate", VERSIONS["evaluate"], gop.number, content)
+        ref = store.ref(gop.sequence, "evaluate", gop.number, digest)
+        result = GopResult(inputs, digest, (("evaluate", ref),))
+        if store.has(ref) and not redo:
+            return result
+        entries = [payload.entry for payload in payloads]
         names = {entry.name for entry in entries}
         refs = [scan for scan in gop.scans if scan.name in names]
         warm = list(zip(range(2), decode_scans(reader, gop.number), strict=False))
         del warm
+        classes = _given_classes(gop, refs, config)
+        drops = classes is not None and not config.keep_movable
         table = evaluate.run(
             decode_scans(reader, gop.number),
             _originals(gop, refs),
@@ -118,6 +131,8 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
             sequence=gop.sequence,
             gop=gop.number,
             max_error=config.max_error or 0.0,
+            kept=[GROUP_OF_CLASS[c] != MOVABLE for c in classes or []] if drops else None,
+            predicted=classes,
             sample=gop.number == 0,
         )
     except Exception as error:  # noqa: BLE001
@@ -125,6 +140,17 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     store.write(ref, table, {"stage": "evaluate", "stage_version": VERSIONS["evaluate"], "peak_mb": peak})
     return result
+
+
+def _given_classes(gop: GopSource, refs: list[ScanRef], config: RunConfig) -> list[NDArray[np.uint8]] | None:
+    """Classes of all source points where the run took them from the labels, dropped points included."""
+    if config.labels != "given":
+        return None
+    try:
+        scans = [SOURCES[gop.source].read(ref, with_labels=True) for ref in refs]
+    except SourceError:  # gone since: what was kept is found by matching
+        return None
+    return [scan.classes for scan in scans if scan.classes is not None]
 
 
 def _originals(gop: GopSource, refs: list[ScanRef]) -> Iterator[Scan | None]:

@@ -183,6 +183,18 @@ def test_a_gop_that_breaks_a_stage_leaves_the_other_gops(
     assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
 
 
+def test_an_archive_written_anew_is_measured_anew(
+    done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setitem(tasks.RUN, "predict", broken("predict", {f"{n:06d}" for n in range(5)}))
+        result = run(toy_root, tmp_path, "00")
+    assert result.report is not None and not result.report["sequences"]
+    result = run(toy_root, tmp_path, "00")
+    assert result.report is not None and result.report["sequences"]["00"]["bit_exact_scans"] == 5
+    assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
+
+
 def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(
     done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,6 +228,8 @@ def test_given_labels_drop_movables_and_count_them(toy_root: Path, tmp_path: Pat
         == figures["points_kept"]
         == figures["points_in"] - figures["points_dropped_movable"]
     )
+    assert figures["iou"]["miou"] == 1.0  # dropped points have their classes, too
+    assert {"car", "road"} <= set(figures["iou"]["classes"])
     verdict = verify(tmp_path / "archives" / "01.mcap", toy_root)
     assert verdict.good and verdict.bit_exact_scans == 3
     assert verdict.points_dropped == figures["points_dropped_movable"]
