@@ -13,6 +13,7 @@ from salpcc.stages.evaluate.bd_rate import bd_rate
 from salpcc.stages.evaluate.metrics import bits_per_point, compression_rate
 
 OURS = "salpcc"
+BD_REFERENCES = (OURS, "tmc13")
 
 
 def baseline_figures(rows: pa.Table) -> dict[str, dict[str, dict[str, Any]]]:
@@ -27,17 +28,25 @@ def baseline_figures(rows: pa.Table) -> dict[str, dict[str, dict[str, Any]]]:
     return result
 
 
-def bd_rates(baselines: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float | None]:
-    """Return how many percent more geometry bits each codec takes than ours at the same D_d.
+def bd_rates(
+    baselines: Mapping[str, Mapping[str, Mapping[str, Any]]],
+) -> dict[str, dict[str, float | None]]:
+    """Return ``{reference: {codec: percent}}``: how many more geometry bits a codec takes at the same D_d.
 
-    Empty where ours was not measured; None where the curves do not meet.
+    References are ours and TMC13, where they were measured; None where the curves do not meet.
     """
     curves = {
         name: [(f["bpp"]["geometry"], f["d_d"]) for f in errors.values() if f["frames"] and f["d_d"]]
         for name, errors in baselines.items()
     }
-    ours = curves.pop(OURS, [])
-    return {name: bd_rate(ours, curve) for name, curve in curves.items() if curve} if ours else {}
+    curves = {name: curve for name, curve in curves.items() if curve}
+    return {
+        reference: {
+            name: bd_rate(curves[reference], curve) for name, curve in curves.items() if name != reference
+        }
+        for reference in BD_REFERENCES
+        if reference in curves
+    }
 
 
 def _figures(rows: pa.Table) -> dict[str, Any]:
@@ -49,7 +58,7 @@ def _figures(rows: pa.Table) -> dict[str, Any]:
     whole = None if done.column("bytes_total").null_count else total(done, "bytes_total")
     failed = rows.num_rows - done.num_rows
     return {
-        "status": "ok" if not failed else f"ok, but {failed} of {rows.num_rows} scans failed",
+        "status": "ok" if not failed else _partly(rows),
         "frames": done.num_rows,
         "points_in": points,
         "points_decoded": total(done, "points_decoded"),
@@ -71,7 +80,14 @@ def _figures(rows: pa.Table) -> dict[str, Any]:
         "bit_exact_scans": count(done, "bit_exact"),
         "encode_ms_per_scan": median(done, "encode_ms"),
         "decode_ms_per_scan": median(done, "decode_ms"),
+        "memory_mb": median(done, "memory_mb"),
     }
+
+
+def _partly(rows: pa.Table) -> str:
+    """Say how many scans failed, and why the first did."""
+    reasons = [status for status in rows.column("status").to_pylist() if status != "ok"]
+    return f"{len(reasons)} of {rows.num_rows} scans {reasons[0]}"
 
 
 def _distinct(rows: pa.Table, column: str) -> list[Any]:

@@ -59,6 +59,9 @@ def recorded(out: Path, name: str) -> pa.Table:
         raise ShardError(
             f"{path}: written by version {version}, this tool reads up to {VERSION}; update the tool"
         )
+    for field in SCHEMAS[name]:
+        if field.name not in table.column_names:  # of an older version
+            table = table.append_column(field, pa.nulls(table.num_rows, field.type))
     return table
 
 

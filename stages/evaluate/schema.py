@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-VERSION = 1
+VERSION = 2
 
 # One row per scan, measured on what was decoded from the archive. A null in a measured column means that
 # there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
@@ -88,5 +88,6 @@ BASELINES = pa.schema(
         ("bit_exact", pa.bool_()),
         ("encode_ms", pa.float64()),
         ("decode_ms", pa.float64()),
+        ("memory_mb", pa.float64()),  # resident, at most, above what was held before; null where unknown
     ]
 )

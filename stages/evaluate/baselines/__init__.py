@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from salpcc.schemas.errors import UsageError
+from salpcc.stages.evaluate.baselines.cloudini import CLOUDINI
 from salpcc.stages.evaluate.baselines.contract import Baseline
 from salpcc.stages.evaluate.baselines.draco import DRACO, DRACO_SEQUENTIAL
 from salpcc.stages.evaluate.baselines.feng import FENG
 from salpcc.stages.evaluate.baselines.generic import BROTLI, BZIP2, XZ, ZSTD
-from salpcc.stages.evaluate.baselines.hevc import HEVC_INTRA
+from salpcc.stages.evaluate.baselines.hevc import HEVC_INTER, HEVC_INTRA
 from salpcc.stages.evaluate.baselines.laszip import LASZIP
 from salpcc.stages.evaluate.baselines.octree import OCTREE
 from salpcc.stages.evaluate.baselines.ours import SALPCC
 from salpcc.stages.evaluate.baselines.png import PNG
 from salpcc.stages.evaluate.baselines.ppmd import PPMD
 from salpcc.stages.evaluate.baselines.sun import SUN
-from salpcc.stages.evaluate.baselines.tmc13 import TMC13, TMC13_OCTREE
+from salpcc.stages.evaluate.baselines.tmc13 import TMC13, TMC13_OCTREE, TMC13_OCTREE_ANGULAR
 
 BASELINES: Mapping[str, Baseline] = {
     "salpcc": SALPCC,
@@ -26,8 +27,11 @@ BASELINES: Mapping[str, Baseline] = {
     "octree": OCTREE,
     "tmc13": TMC13,
     "tmc13_octree": TMC13_OCTREE,
+    "tmc13_octree_angular": TMC13_OCTREE_ANGULAR,
+    "cloudini": CLOUDINI,
     "png": PNG,
     "hevc_intra": HEVC_INTRA,
+    "hevc_inter": HEVC_INTER,
     "feng": FENG,
     "sun": SUN,
     "xz": XZ,

@@ -1,6 +1,8 @@
 """The contract of a baseline.
 
-``encode(points, max_error) -> bytes`` and ``decode(data) -> points`` are pure functions. ``points`` is
+``encode(points, max_error) -> bytes`` and ``decode(data) -> points`` are pure functions. A codec that predicts
+one scan from another has a :class:`Group` too, the same for consecutive scans: one piece of data per scan,
+which decode together only. ``points`` is
 ``(N, 3)`` float32 x, y, z in metres, or ``(N, 4)`` with the intensity as fourth column where the codec
 carries one; ``decode`` needs nothing but the bytes and gives as many columns back. ``max_error`` is in
 metres and 0 asks for bit-exactness. All bytes that a decoder needs are in the data: quantisation origin,
@@ -14,7 +16,7 @@ of the report and nothing else.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, Literal
@@ -53,6 +55,15 @@ class Promise:
 
 
 @dataclass(frozen=True)
+class Group:
+    """How a codec takes consecutive scans together: at most ``size`` of them, each with its own bytes."""
+
+    size: int
+    encode: Callable[[Sequence[Points], float], list[bytes]]
+    decode: Callable[[Sequence[bytes]], list[Points]]
+
+
+@dataclass(frozen=True)
 class Baseline:
     """One codec: what it is called, what it needs, what it promises, and its two functions."""
 
@@ -62,6 +73,17 @@ class Baseline:
     encode: Callable[[Points, float], bytes]
     decode: Callable[[bytes], Points]
     program: str | None = None  # that must be on the PATH
+    group: Group | None = None  # where scans are predicted from each other
+
+    def together(self) -> Group:
+        """Give the codec as one of groups; one that knows single scans takes them one at a time."""
+        if self.group is not None:
+            return self.group
+        return Group(
+            1,
+            lambda scans, max_error: [self.encode(points, max_error) for points in scans],
+            lambda data: [self.decode(piece) for piece in data],
+        )
 
     def missing(self) -> str | None:
         """Say what it lacks on this machine, or None where it can run."""

@@ -1,115 +1,103 @@
-"""Run one baseline on one scan at one asked error, and measure what comes back."""
+"""Run one baseline on consecutive scans at one asked error, and measure what comes back."""
 
 from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, TypeVar
 
 import numpy as np
-import pyarrow as pa
-from scipy.spatial import cKDTree
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.contract import Baseline, Points
-from salpcc.stages.evaluate.metrics import point_errors, same_bits, symmetric_distance
-from salpcc.stages.evaluate.schema import BASELINES as BASELINES_SCHEMA
+from salpcc.stages.evaluate.baselines.memory import peak_above
+from salpcc.stages.evaluate.baselines.nearest import errors_in_order, errors_nearest
+from salpcc.stages.evaluate.metrics import same_bits
 
 ERRORS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # metres; what users ask for, and a curve's worth of them
 
 _T = TypeVar("_T")
-_warm: set[str] = set()  # codecs that this process has run
+Row = dict[str, Any]  # of the BASELINES table
 
 
-def asked_errors(name: str) -> tuple[float, ...]:
+def asked_errors(baseline: Baseline) -> tuple[float, ...]:
     """Return the errors that a baseline is measured at; 0 is bit-exact."""
-    bound = BASELINES[name].promise.bound
-    return {"exact": (0.0,), "distance": (0.0, *ERRORS)}.get(bound, ERRORS)
+    return {"exact": (0.0,), "distance": (0.0, *ERRORS)}.get(baseline.promise.bound, ERRORS)
 
 
-def measure_scans(name: str, scans: Iterable[Scan], sequence: str) -> pa.Table:
-    """Measure a baseline at each of its errors on each scan: a BASELINES table, good for one task of a run."""
-    errors = asked_errors(name)
-    rows = [measure(name, scan, sequence, error) for scan in scans for error in errors]
-    return pa.Table.from_pylist(rows, schema=BASELINES_SCHEMA)
-
-
-def measure(name: str, scan: Scan, sequence: str, max_error: float) -> dict[str, Any]:
-    """Return one BASELINES row. Never raises for what the codec does: the row's status says it."""
-    baseline = BASELINES[name]
-    row: dict[str, Any] = {
+def empty_row(name: str, scan: Scan, sequence: str, max_error: float, status: str) -> Row:
+    """Return a BASELINES row that says only why nothing was measured."""
+    return {
         "baseline": name,
         "sequence": sequence,
         "name": scan.name,
         "max_error": max_error,
         "points_in": len(scan),
+        "status": status,
     }
+
+
+def measure(
+    name: str, baseline: Baseline, scans: Sequence[Scan], sequence: str, max_error: float
+) -> list[Row]:
+    """Return one BASELINES row per scan. Never raises for what the codec does: the rows' status says it.
+
+    The scans are coded together where the codec does that; its time is shared out evenly among them.
+    """
     if missing := baseline.missing():
-        return row | {"status": f"not run: {missing}"}
+        return [empty_row(name, scan, sequence, max_error, f"not run: {missing}") for scan in scans]
+    rows = [empty_row(name, scan, sequence, max_error, "ok") for scan in scans]
     try:
-        _warm_up(name, scan, max_error)
-        return row | _measure(baseline, scan, max_error) | {"status": "ok"}
-    except Exception as error:  # noqa: BLE001  whatever a foreign codec throws costs its row and nothing else
+        measured = _measure(baseline, scans, max_error)
+    except Exception as error:  # noqa: BLE001  whatever a foreign codec throws costs its rows and nothing else
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        return row | {"status": f"failed: {reason[:200]}"}
+        return [row | {"status": f"failed: {reason[:200]}"} for row in rows]
+    return [row | found for row, found in zip(rows, measured, strict=True)]
 
 
-def _warm_up(name: str, scan: Scan, max_error: float) -> None:
-    """Let imports and compilation happen once a process, outside the measured times, on the first scan."""
-    if name in _warm:
-        return
-    _warm.add(name)
-    baseline = BASELINES[name]
+def warm_up(baseline: Baseline, scans: Sequence[Scan], max_error: float) -> None:
+    """Let imports and compilation happen outside the measured times."""
+    together = baseline.together()
     with suppress(Exception):  # the measurement that follows will say what is wrong
-        baseline.decode(baseline.encode(np.ascontiguousarray(scan.points), max_error))
+        together.decode(together.encode([np.ascontiguousarray(scan.points) for scan in scans], max_error))
 
 
-def _measure(baseline: Baseline, scan: Scan, max_error: float) -> dict[str, Any]:
+def _measure(baseline: Baseline, scans: Sequence[Scan], max_error: float) -> list[Row]:
     """Encode and decode the geometry, and with intensity where the codec carries it; compare.
 
-    Times are those of all that the codec carries.
+    Times and memory are those of all that the codec carries.
     """
-    points = np.ascontiguousarray(scan.points)
-    data, encode_ms = _timed(lambda: baseline.encode(points, max_error))
-    row: dict[str, Any] = {"bytes_geometry": len(data)}
-    whole = points
+    together = baseline.together()
+    clouds = [np.ascontiguousarray(scan.points) for scan in scans]
+    whole = clouds
     if baseline.promise.intensity:
-        whole = np.column_stack([scan.points, scan.intensity])
-        data, encode_ms = _timed(lambda: baseline.encode(whole, max_error))
-        row["bytes_total"] = len(data)
-    decoded, decode_ms = _timed(lambda: baseline.decode(data))
-    row |= {"encode_ms": encode_ms, "decode_ms": decode_ms, "points_decoded": len(decoded)}
-    in_order = baseline.promise.order and len(decoded) == len(points)
-    row |= {"in_order": in_order, "bit_exact": same_bits(whole, decoded)}
-    return row | (_errors_in_order if in_order else _errors_nearest)(points, decoded[:, :3])
+        whole = [np.column_stack([scan.points, scan.intensity]) for scan in scans]
+    with peak_above() as memory:
+        data, encode_ms = _timed(lambda: together.encode(whole, max_error))
+        decoded, decode_ms = _timed(lambda: together.decode(data))
+    geometry = data if whole is clouds else together.encode(clouds, max_error)
+    rows = []
+    for points, given, back, all_data, plain in zip(clouds, whole, decoded, data, geometry, strict=True):
+        in_order = baseline.promise.order and len(back) == len(points)
+        row: Row = {
+            "bytes_geometry": len(plain),
+            "encode_ms": encode_ms / len(scans),
+            "decode_ms": decode_ms / len(scans),
+            "memory_mb": memory.megabytes,
+            "points_decoded": len(back),
+            "in_order": in_order,
+            "bit_exact": same_bits(given, back),
+        }
+        if whole is not clouds:
+            row["bytes_total"] = len(all_data)
+        rows.append(row | _errors(points, np.ascontiguousarray(back[:, :3]), in_order))
+    return rows
 
 
-def _errors_in_order(source: Points, decoded: Points) -> dict[str, Any]:
-    decoded = np.ascontiguousarray(decoded)
-    errors = point_errors(source, decoded)
-    return {
-        "max_error_m": errors.maximum,
-        "max_axis_error_m": errors.max_axis,
-        "squared_error_m2": errors.sum_of_squares,
-        "d_d_m2": 0.0 if same_bits(source, decoded) else symmetric_distance(source, decoded),
-    }
-
-
-def _errors_nearest(source: Points, decoded: Points) -> dict[str, Any]:
-    """Nearest-neighbour errors, the worse of both ways: all that can be said once the order is gone."""
-    a, b = source.astype(np.float64), decoded.astype(np.float64)
-    of_a, of_b = cKDTree(a), cKDTree(b)
-    there, back = np.asarray(of_b.query(a)[0]), np.asarray(of_a.query(b)[0])
-    axis = max(np.max(of_b.query(a, p=np.inf)[0]), np.max(of_a.query(b, p=np.inf)[0]))
-    return {
-        "max_error_m": float(max(there.max(), back.max())),
-        "max_axis_error_m": float(axis),
-        "squared_error_m2": float(np.square(back).sum()),  # over points_decoded
-        "d_d_m2": float(np.square(there).mean() / 2 + np.square(back).mean() / 2),
-    }
+def _errors(points: Points, decoded: Points, in_order: bool) -> Row:
+    return errors_in_order(points, decoded) if in_order else errors_nearest(points, decoded)
 
 
 def _timed(work: Callable[[], _T]) -> tuple[_T, float]:

@@ -1,8 +1,8 @@
 """MPEG G-PCC by its test model, ``tmc3`` (TMC13), where the program is on the PATH.
 
-Points are rounded to a grid of twice the asked error and coded losslessly on it: by the octree, or by the
-predictive tree in angular mode with the lasers of our own sensor model (its best bounded mode on spinning
-sensors). Geometry only. The order is lost. The time is the program's own CPU time, files included.
+Points are rounded to a grid of twice the asked error and coded losslessly on it: by the octree, plain or in angular
+mode with the lasers of our own sensor model, or by the predictive tree in that mode (the best bounded mode on
+spinning sensors). Geometry only. The order is lost. The time is the program's own CPU time, files included.
 """
 
 from __future__ import annotations
@@ -43,19 +43,23 @@ _OCTREE = (
 _AZIMUTH_UNITS = 1 << 24  # a turn, at positionAzimuthScaleLog2 = 12
 
 
-def _predictive(step: float) -> list[str]:
-    """Options of the angular predictive tree for our 64-laser sensor."""
+_PREDICTIVE = (
+    "--geomTreeType=1",
+    "--predGeomSort=0",
+    "--sortInputByAzimuth=1",
+    "--predGeomAzimuthSortPrecision=1024",
+    "--positionAzimuthScaleLog2=12",
+)
+
+
+def _angular(step: float) -> list[str]:
+    """Options of the angular mode for our 64-laser sensor."""
     from salpcc.stages.ingest.sensor_model import load_sensor
 
     sensor = load_sensor("hdl64e")
     rising = np.argsort(sensor.theta)
     ticks = sensor.ticks_per_turn
     return [
-        "--geomTreeType=1",
-        "--predGeomSort=0",
-        "--sortInputByAzimuth=1",
-        "--predGeomAzimuthSortPrecision=1024",
-        "--positionAzimuthScaleLog2=12",
         f"--positionAzimuthSpeed={_AZIMUTH_UNITS // ticks}",
         "--angularEnabled=1",
         "--lidarHeadPosition=0,0,0",
@@ -67,7 +71,7 @@ def _predictive(step: float) -> list[str]:
     ]
 
 
-def _encode(points: Points, max_error: float, angular: bool) -> bytes:
+def _encode(points: Points, max_error: float, tree: Sequence[str], angular: bool) -> bytes:
     step = step_of(max_error)
     levels = quantize(points[:, :3], step)
     if len(levels) and np.abs(levels).max() >= 2**20:
@@ -75,7 +79,7 @@ def _encode(points: Points, max_error: float, angular: bool) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         source, stream = Path(folder) / "in.ply", Path(folder) / "out.bin"
         source.write_bytes(to_ply(levels.astype(np.int32)))
-        options = _predictive(step) if angular else _OCTREE
+        options = [*tree, *(_angular(step) if angular else ())]
         paths = [f"--uncompressedDataPath={source}", f"--compressedStreamPath={stream}"]
         _run(["--mode=0", *_COMMON, *options, *paths])
         return _HEAD.pack(step) + stream.read_bytes()
@@ -134,16 +138,17 @@ def from_ply(data: bytes) -> NDArray[np.float64]:
     return np.frombuffer(body, kind, 3 * counts["vertex"]).reshape(-1, 3).astype(np.float64)
 
 
-def _baseline(title: str, angular: bool) -> Baseline:
+def _baseline(title: str, tree: Sequence[str], angular: bool) -> Baseline:
     return Baseline(
         title=title,
         packages=(),
         promise=Promise(bound="axis", order=False, count=True, intensity=False),
-        encode=lambda points, max_error: _encode(points, max_error, angular),
+        encode=lambda points, max_error: _encode(points, max_error, tree, angular),
         decode=decode,
         program=PROGRAM,
     )
 
 
-TMC13 = _baseline("MPEG TMC13, predictive, angular", angular=True)
-TMC13_OCTREE = _baseline("MPEG TMC13, octree", angular=False)
+TMC13 = _baseline("MPEG TMC13, predictive, angular", _PREDICTIVE, angular=True)
+TMC13_OCTREE = _baseline("MPEG TMC13, octree", _OCTREE, angular=False)
+TMC13_OCTREE_ANGULAR = _baseline("MPEG TMC13, octree, angular", _OCTREE, angular=True)

@@ -37,5 +37,16 @@ def test_codecs_are_compared_with_ours() -> None:
 
     exact = {"0": {"frames": 1, "bpp": {"geometry": 70.0}, "d_d": 0.0}}
     rates = bd_rates({"salpcc": figures(1), "draco": figures(3), "xz": exact, "gone": {"0": {"frames": 0}}})
-    assert rates == {"draco": pytest.approx(200.0)}
+    assert rates == {"salpcc": {"draco": pytest.approx(200.0)}}
     assert bd_rates({"draco": figures(1)}) == {}
+
+
+def test_tmc13_is_a_reference_where_it_ran() -> None:
+    def figures(scale: float) -> dict[str, dict[str, object]]:
+        return {
+            str(i): {"frames": 1, "bpp": {"geometry": scale * rate}, "d_d": distortion}
+            for i, (rate, distortion) in enumerate(CURVE)
+        }
+
+    rates = bd_rates({"salpcc": figures(1), "tmc13": figures(2)})
+    assert rates == {"salpcc": {"tmc13": pytest.approx(100.0)}, "tmc13": {"salpcc": pytest.approx(-50.0)}}

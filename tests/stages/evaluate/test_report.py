@@ -17,9 +17,11 @@ import pytest
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate import report, stage
+from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.measure import measure
 from salpcc.stages.evaluate.record import record, recorded
-from salpcc.stages.evaluate.schema import BASELINES, FAILURES, TIMES
+from salpcc.stages.evaluate.schema import BASELINES as BASELINES_SCHEMA
+from salpcc.stages.evaluate.schema import FAILURES, TIMES
 
 FRAMING = 5000
 
@@ -55,7 +57,8 @@ def out(
     failures = [
         {"sequence": "04", "name": "000002", "stage": "ingest", "file": "a<b>.bin", "message": "cut | off"}
     ]
-    coded = [measure(name, street(), "00", error) for name, error in (("xz", 0.0), ("octree", 0.01))]
+    asked = (("xz", 0.0), ("octree", 0.01))
+    coded = [row for name, e in asked for row in measure(name, BASELINES[name], [street()], "00", e)]
     absent = {"baseline": "tmc13", "sequence": "00", "name": "000000", "status": "not run: tmc3 not found"}
     coded += [absent | {"max_error": error, "points_in": 3000} for error in (0.001, 0.01)]
     record(
@@ -69,7 +72,7 @@ def out(
         metrics=pa.concat_tables(tables),
         times=pa.Table.from_pylist(times, schema=TIMES),
         failures=pa.Table.from_pylist(failures, schema=FAILURES),
-        baselines=pa.Table.from_pylist(coded, schema=BASELINES),
+        baselines=pa.Table.from_pylist(coded, schema=BASELINES_SCHEMA),
     )
     return tmp_path
 

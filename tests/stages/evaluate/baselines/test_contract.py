@@ -32,7 +32,7 @@ def available(name: str) -> Baseline:
 def test_what_comes_back_is_what_was_promised(name: str, error: float, street: Callable[..., Scan]) -> None:
     baseline, scan = available(name), street(points=4000)
     promise = baseline.promise
-    row = measure(name, scan, "00", error)
+    (row,) = measure(name, baseline, [scan], "00", error)
     assert row["status"] == "ok"
     assert row["in_order"] == promise.order
     assert row["bit_exact"] == (error == 0)
@@ -86,3 +86,29 @@ def test_encoding_is_deterministic_and_leaves_its_input_alone(name: str, street:
     error = 0.0 if baseline.promise.bound == "exact" else 0.01
     assert baseline.encode(points, error) == baseline.encode(points, error)
     assert np.array_equal(points, before)
+
+
+GROUPS = [name for name, baseline in BASELINES.items() if baseline.group is not None]
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_a_group_gives_every_scan_back(name: str, street: Callable[..., Scan]) -> None:
+    baseline = available(name)
+    scans = [street(points=20_000, seed=seed) for seed in range(3)]
+    scans = [Scan(str(i), s.points + np.float32([0.8 * i, 0, 0]), s.intensity) for i, s in enumerate(scans)]
+    rows = measure(name, baseline, scans, "00", 0.01)
+    assert [row["name"] for row in rows] == ["0", "1", "2"]
+    assert all(row["status"] == "ok" and row["bytes_geometry"] > 500 for row in rows)
+    alone = [row for scan in scans for row in measure(name, baseline, [scan], "00", 0.01)]
+    for row, single in zip(rows, alone, strict=True):  # a wrong motion would put points elsewhere
+        assert row["d_d_m2"] < 2 * single["d_d_m2"]
+        assert row["points_decoded"] > 0.8 * single["points_decoded"]
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_the_same_scan_again_is_cheap(name: str, street: Callable[..., Scan]) -> None:
+    group = available(name).together()
+    points = street(points=20_000).points
+    parts = group.encode([points, points], 0.005)
+    other = 0 if name == "feng" else 1  # the one that is predicted
+    assert len(parts[other]) < 0.8 * len(parts[1 - other])

@@ -14,7 +14,7 @@ from salpcc.stages.evaluate.baselines.range_image import directions, project, to
 
 
 @pytest.mark.parametrize("error", [0.002, 0.02, 0.2])
-@pytest.mark.parametrize("name", ["png", "hevc_intra", "feng", "sun"])
+@pytest.mark.parametrize("name", ["png", "hevc_intra", "hevc_inter", "feng", "sun"])
 def test_ranges_are_within_the_asked_error(name: str, error: float, street: Callable[..., Scan]) -> None:
     baseline = BASELINES[name]
     if missing := baseline.missing():

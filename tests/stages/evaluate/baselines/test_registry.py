@@ -10,9 +10,9 @@ import pytest
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate import baselines
-from salpcc.stages.evaluate.baselines import measure as measuring
 from salpcc.stages.evaluate.baselines import names
 from salpcc.stages.evaluate.baselines.contract import Points
+from salpcc.stages.evaluate.baselines.measure import measure
 
 
 def test_selections() -> None:
@@ -23,21 +23,17 @@ def test_selections() -> None:
         names("xz,mp3")
 
 
-def test_a_missing_package_costs_a_row_only(
-    monkeypatch: pytest.MonkeyPatch, street: Callable[..., Scan]
-) -> None:
+def test_a_missing_package_costs_a_row_only(street: Callable[..., Scan]) -> None:
     absent = replace(baselines.BASELINES["xz"], packages=("no_such_package",))
-    monkeypatch.setattr(measuring, "BASELINES", {"xz": absent})
-    row = measuring.measure("xz", street(), "00", 0.0)
+    (row,) = measure("xz", absent, [street()], "00", 0.0)
     assert row["status"] == "not run: no_such_package missing, pip install 'salpcc-pipeline[baselines]'"
     assert "bytes_geometry" not in row
 
 
-def test_a_codec_that_breaks_costs_a_row_only(
-    monkeypatch: pytest.MonkeyPatch, street: Callable[..., Scan]
-) -> None:
+def test_a_codec_that_breaks_costs_its_rows_only(street: Callable[..., Scan]) -> None:
     def broken(points: Points, max_error: float) -> bytes:
         raise ZeroDivisionError("no luck\nand more")
 
-    monkeypatch.setattr(measuring, "BASELINES", {"bad": replace(baselines.BASELINES["xz"], encode=broken)})
-    assert measuring.measure("bad", street(), "00", 0.0)["status"] == "failed: no luck"
+    bad = replace(baselines.BASELINES["xz"], encode=broken)
+    rows = measure("bad", bad, [street(), street()], "00", 0.0)
+    assert [row["status"] for row in rows] == ["failed: no luck"] * 2

@@ -33,7 +33,7 @@ def put(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(folder))
 
 
-@pytest.mark.parametrize("name", ["tmc13", "tmc13_octree"])
+@pytest.mark.parametrize("name", ["tmc13", "tmc13_octree", "tmc13_octree_angular"])
 def test_points_go_through_the_program_and_back(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
