@@ -1,0 +1,123 @@
+"""Golden archives: what a release wrote, every later one reads to the same bits and writes to the same bytes.
+
+If a test here fails, the format changed: bump the codec version (schemas/ARCHIVE.md, section 8) and run
+``python tests/golden/make_golden.py``.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salpcc.pipeline.archive import Archive
+from salpcc.stages.residual_code.archive import ScanPayload
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.gop import decode_gop, encode_gop
+from salpcc.stages.residual_code.payload import CODEC_VERSION
+
+GOLDEN = Path(__file__).parents[2] / "golden"
+EXPECTED = json.loads((GOLDEN / "expected.json").read_text())
+ARCHIVES = sorted(EXPECTED["archives"])
+
+# Decode every archive and encode it again; one line each, the digest of all that came out.
+_SCRIPT = """
+import sys
+from hashlib import sha256
+from pathlib import Path
+from salpcc.stages.ingest.sweep import sweep_to_scan
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.gop import decode_gop, encode_gop
+for path in sys.argv[1:]:
+    reader = ArchiveReader(path)
+    effort = reader.facts.config["effort"]
+    total = sha256()
+    for gop in range(len(reader.gops)):
+        sweeps = list(decode_gop((p.data for p in reader.payloads(gop)), reader.facts.sensor))
+        for sweep in sweeps:
+            total.update(sweep_to_scan(sweep, reader.facts.sensor).points.tobytes())
+        for payload in encode_gop(sweeps, reader.facts.sensor, effort):
+            total.update(payload.data)
+    print(Path(path).name, total.hexdigest())
+"""
+
+
+def test_all_archives_are_there() -> None:
+    assert EXPECTED["codec_version"] == CODEC_VERSION
+    assert sorted(path.name for path in GOLDEN.glob("*.mcap")) == ARCHIVES
+    assert sum(path.stat().st_size for path in GOLDEN.iterdir() if path.is_file()) < 400_000
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_decodes_to_the_same_bits(name: str) -> None:
+    expected = EXPECTED["archives"][name]
+    with Archive.open(GOLDEN / name) as archive:
+        scans = list(archive)
+    assert [scan.name for scan in scans] == list(expected)
+    for scan in scans:
+        digests = {
+            "points": sha256(scan.points.astype("<f4").tobytes()).hexdigest(),
+            "intensity": sha256(scan.intensity.astype("<f4").tobytes()).hexdigest(),
+            "classes": "" if scan.classes is None else sha256(scan.classes.tobytes()).hexdigest(),
+            "n": len(scan),
+        }
+        assert digests == expected[scan.name]
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_is_what_went_in(name: str) -> None:
+    with np.load(GOLDEN / "input.npz") as stored, Archive.open(GOLDEN / name) as archive:
+        for scan in archive:
+            points = stored[f"points_{scan.name}"]
+            assert scan.intensity.tobytes() == stored[f"intensity_{scan.name}"].tobytes()
+            if name.endswith("_exact.mcap"):
+                assert scan.points.tobytes() == points.tobytes()
+                continue
+            finite = np.isfinite(points).all(axis=1)
+            assert scan.points[~finite].tobytes() == points[~finite].tobytes()
+            off = np.linalg.norm(scan.points[finite].astype(np.float64) - points[finite], axis=1)
+            assert 0.0 < off.max() <= 0.01
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_encodes_to_the_same_bytes(name: str, tmp_path: Path) -> None:
+    reader = ArchiveReader(GOLDEN / name)
+    facts = reader.facts
+    again = []
+    for gop in range(len(reader.gops)):
+        payloads = reader.payloads(gop)
+        sweeps = decode_gop((payload.data for payload in payloads), facts.sensor)
+        coded = encode_gop(sweeps, facts.sensor, facts.config["effort"])
+        for payload, new in zip(payloads, coded, strict=True):
+            assert new.data == payload.data, f"the payload of scan {payload.entry.name} has changed"
+        again.append(
+            [
+                ScanPayload(old.entry, old.time, old.frame_id, new.data)
+                for old, new in zip(payloads, coded, strict=True)
+            ]
+        )
+    write_archive(tmp_path / name, facts, again)
+    assert (tmp_path / name).read_bytes() == (GOLDEN / name).read_bytes(), "the container has changed"
+
+
+def _outcome(environment: dict[str, str]) -> list[str]:
+    command = [sys.executable, "-c", _SCRIPT, *(str(GOLDEN / name) for name in ARCHIVES)]
+    done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()
+
+
+def test_a_plain_processor_gives_the_same(tmp_path: Path) -> None:
+    """Kernels compiled for no particular processor (no AVX, no FMA) against this machine's own."""
+    plain = {
+        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+    }
+    lines = _outcome(plain)
+    assert len(lines) == len(ARCHIVES)
+    assert lines == _outcome({})
