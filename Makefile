@@ -1,5 +1,7 @@
 # make demo   the main job on two small simulated sequences; needs Python 3.11+, make and a package index
 # make test   ruff, mypy, pytest, in an environment of its own
+# make bench  our codec against others in turns, CPU time on one core; ROOT=DIR for recorded scans
+# make fuzz   damaged payloads, 20,000 of them
 # make lock   pin the newest versions that pyproject.toml allows
 
 VENV := .venv
@@ -10,7 +12,7 @@ SOURCES := $(shell find schemas stages pipeline -type f -not -path '*/__pycache_
 OUT ?= out/demo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test lock clean
+.PHONY: demo test bench fuzz lock clean
 
 demo: $(VENV)/.product
 	$(BIN)/salpcc-pipeline run sequences 00,01 --source simulated --frames 0:8 --keep-movable --out $(OUT)
@@ -23,6 +25,12 @@ test: $(VENV)/.product
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p salpcc.schemas -p salpcc.stages -p salpcc.pipeline
 	$(BIN)/pytest -q
+
+bench: $(VENV)/.product
+	$(BIN)/python -m salpcc.stages.evaluate.bench $(if $(ROOT),--root $(ROOT))
+
+fuzz: $(VENV)/.product
+	$(BIN)/python tests/fuzz.py --count 20000
 
 # The lock file is installed first, so that pip has nothing left to choose.
 $(VENV)/.locked: requirements.lock

@@ -8,13 +8,14 @@ warms everything up and is thrown away.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.contract import FLOAT32_SLACK, Baseline
 from salpcc.stages.evaluate.baselines.ours import Coded, decode_group, encode_group
+from salpcc.stages.evaluate.machine import describe_machine
 from salpcc.stages.evaluate.metrics import point_errors, same_bits
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.simulated import Simulated
@@ -58,19 +60,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--errors", default="0,0.001,0.01", help="asked errors in metres; 0 is bit-exact")
     parser.add_argument("--efforts", default="fast,default", help="ours, of " + ", ".join(get_args(Effort)))
+    parser.add_argument("--json", type=Path, help="write the figures there, too")
     asked = parser.parse_args(arguments)
     errors = [float(value) for value in asked.errors.split(",")]
     try:
         scans = _scans(asked.root, asked.sequence, asked.scans)
         failed = False
+        rows: list[dict[str, Any]] = []
         for error in errors:
             runners = list(_runners(scans, error, asked.efforts.split(",")))
             race(runners, scans, asked.rounds)
             print(table(runners, scans), end="\n\n", flush=True)
+            rows += [_row(runner, scans) for runner in runners]
             failed |= any(runner.keeps_order and runner.worst > runner.bound for runner in runners)
     except SalpccError as error_:
         print(f"bench: {error_}", file=sys.stderr)
         return 1
+    if asked.json is not None:
+        asked.json.write_text(json.dumps(_document(arguments, scans, asked.rounds, rows), indent=1) + "\n")
     return int(failed)
 
 
@@ -116,6 +123,35 @@ def table(runners: Sequence[Runner], scans: Sequence[Scan]) -> str:
             line += f"{geometry / reference[0]:7.2f}{encode / reference[2]:8.2f}{decode / reference[3]:8.2f}"
         lines.append(line)
     return "\n".join(lines)
+
+
+def _row(runner: Runner, scans: Sequence[Scan]) -> dict[str, Any]:
+    """The figures of one runner for ``--json``; the error is None where the order is gone."""
+    geometry, total, encode, decode = _figures(runner, sum(len(scan) for scan in scans))
+    return {
+        "codec": runner.name,
+        "max_error": runner.max_error,
+        "bpp_geometry": geometry,
+        "bpp_total": total,
+        "max_error_m": runner.worst if runner.keeps_order else None,
+        "bit_exact": runner.exact,
+        "encode_ms": encode,
+        "decode_ms": decode,
+    }
+
+
+def _document(
+    arguments: Sequence[str] | None, scans: Sequence[Scan], rounds: int, rows: list[dict[str, Any]]
+) -> dict[str, Any]:
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    return {
+        "command": ["python", "-m", "salpcc.stages.evaluate.bench", *words],
+        "machine": describe_machine(),
+        "scans": len(scans),
+        "points": sum(len(scan) for scan in scans),
+        "rounds": rounds,
+        "rows": rows,
+    }
 
 
 def _figures(runner: Runner, points: int) -> tuple[float, float, float, float]:

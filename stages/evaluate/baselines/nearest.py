@@ -48,7 +48,12 @@ Found = tuple[NDArray[np.float64], NDArray[np.intp]]  # distances, and which nei
 
 def _both_ways(source: Points, decoded: Points) -> tuple[Found, Found, cKDTree, cKDTree]:
     of_source, of_decoded = _tree(source.astype(np.float64).tobytes()), _grow(decoded)
-    return of_decoded.query(source), of_source.query(decoded), of_source, of_decoded
+    return _find(of_decoded, source), _find(of_source, decoded), of_source, of_decoded
+
+
+def _find(tree: cKDTree, points: NDArray[Any], p: float = 2.0) -> Found:
+    distance, which = tree.query(points, p=p)
+    return np.asarray(distance), np.asarray(which)
 
 
 def _mean_square(there: Found, back: Found) -> float:
@@ -78,5 +83,5 @@ def _max_axis(
         some = order[start : start + _BATCH]
         if bound[some[0]] <= worst:
             break
-        worst = max(worst, float(tree.query(points[some], p=np.inf)[0].max()))
+        worst = max(worst, float(_find(tree, points[some], np.inf)[0].max()))
     return worst

@@ -28,7 +28,7 @@ def register(source: NDArray[np.floating], target: NDArray[np.floating], start: 
     matrix, shift = _matrix(start)
     for reach in _REACH:
         points = moving @ matrix.T + shift
-        distance, which = tree.query(points, distance_upper_bound=reach)
+        distance, which = map(np.asarray, tree.query(points, distance_upper_bound=reach))
         good = np.isfinite(distance)
         good[good] &= flat[which[good]]
         if np.count_nonzero(good) < _NEIGHBOURS:

@@ -5,8 +5,11 @@ A plane is ``(3,)`` float32 n with ``1/r = n . u`` along the unit vector u; in i
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 TILE = 4
 _LONGEST = 255
@@ -113,12 +116,12 @@ def planes_of_tiles(runs, rows, tiles):  # type: ignore[no-untyped-def]
         if length:
             of_tile[row, tile : tile + length] = plane
             plane += 1
-        tile += max(np.int64(length), 1)
+        tile += int(length) if length else 1
         if tile >= tiles:
             row, tile = row + 1, 0
     return of_tile
 
 
-def of_cells(tiles: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def of_cells(tiles: NDArray[Any]) -> NDArray[Any]:
     """Spread a value of each tile over its cells."""
     return np.repeat(np.repeat(tiles, TILE, axis=0), TILE, axis=1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,12 +53,16 @@ def test_the_table_counts_every_byte_and_says_what_is_exact(street: Callable[...
 
 @pytest.mark.parametrize(("shift", "code"), [(0.001, 0), (0.1, 1)])
 def test_a_broken_promise_is_an_exit_code(
-    shift: float, code: int, street: Callable[..., Scan], monkeypatch: pytest.MonkeyPatch
+    shift: float, code: int, street: Callable[..., Scan], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     scans = [street()]
     monkeypatch.setattr(bench, "_scans", lambda *_: scans)
     monkeypatch.setattr(bench, "_runners", lambda *_: [runner("x", scans, [], shift, error=0.01)])
-    assert bench.main(["--rounds", "1", "--errors", "0.01"]) == code
+    path = tmp_path / "bench.json"
+    assert bench.main(["--rounds", "1", "--errors", "0.01", "--json", str(path)]) == code
+    (row,) = json.loads(path.read_text())["rows"]
+    assert row["codec"] == "x" and row["max_error_m"] == pytest.approx(shift * 3**0.5, rel=1e-2)
+    assert row["bpp_total"] == pytest.approx(8 * 100 / 3000)
 
 
 def test_a_missing_root_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: object) -> None:
