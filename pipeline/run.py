@@ -139,6 +139,7 @@ def _gather(
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "source": f"{config.source}: {root}",
         "notes": _notes(config),
+        "inputs": {o.plan.sequence: o.record["inputs"] for o in outcomes if o.record is not None},
         "worker_peak_mb": round(peak, 1),
     }
     lines = [(e.sequence, e.scan, e.stage, "", e.reason) for e in errors]

@@ -9,6 +9,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from salpcc.stages.evaluate.aggregate import count, error_figures, median, total
+from salpcc.stages.evaluate.baselines import BASELINES
+from salpcc.stages.evaluate.baselines.contract import FLOAT32_SLACK
 from salpcc.stages.evaluate.bd_rate import bd_rate
 from salpcc.stages.evaluate.metrics import bits_per_point, compression_rate
 
@@ -78,10 +80,29 @@ def _figures(rows: pa.Table) -> dict[str, Any]:
         "geometry_rate_percent": compression_rate(geometry, points),
         **error_figures(done),
         "bit_exact_scans": count(done, "bit_exact"),
+        "promise_kept": _kept(done),
         "encode_ms_per_scan": median(done, "encode_ms"),
         "decode_ms_per_scan": median(done, "decode_ms"),
         "memory_mb": median(done, "memory_mb"),
     }
+
+
+def _kept(done: pa.Table) -> bool | None:
+    """Tell whether every scan came back within what the codec promises; None where it promises no error."""
+    name = done.column("baseline")[0].as_py()
+    if name not in BASELINES:
+        return None
+    promise = BASELINES[name].promise
+    rows = done.to_pylist()
+    if any(promise.count and row["points_decoded"] != row["points_in"] for row in rows):
+        return False
+    if promise.bound == "none":
+        return None
+    if promise.bound == "axis":
+        return all(row["max_axis_error_m"] <= row["max_error"] + FLOAT32_SLACK for row in rows)
+    return all(row["max_error_m"] <= row["max_error"] for row in rows) and all(
+        row["bit_exact"] for row in rows if row["max_error"] == 0
+    )
 
 
 def _partly(rows: pa.Table) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from salpcc.stages.evaluate.baseline_figures import OURS
@@ -37,6 +38,20 @@ def comparison_plots(report: Mapping[str, Any]) -> list[Plot]:
     equal = {name: [p for p in points if p.asked == _EQUAL_ERROR] for name, points in bound.items()}
     equal = {name: points for name, points in equal.items() if points and points[0].encode_ms}
     return [*plots, _time_plot(equal)] if equal else plots
+
+
+def sequence_plots(report: Mapping[str, Any]) -> list[Plot]:
+    """Return the curves of each sequence, as Fig. 9 has them; none where there is one sequence only."""
+    measured = {name: f for name, f in report["sequences"].items() if f.get("baselines")}
+    if len(measured) < 2:
+        return []
+    plots = []
+    for name, figures in measured.items():
+        lossy = {n: [p for p in points if p.asked > 0] for n, points in _curves(figures).items()}
+        lossy = {n: points for n, points in lossy.items() if points}
+        if lossy:
+            plots.append(replace(_distortion_plot(lossy), title=f"Sequence {name}", caption=""))
+    return plots
 
 
 def _rate_plot(curves: Curves) -> Plot:
@@ -80,6 +95,10 @@ def _time_plot(curves: Curves) -> Plot:
         for name, style in _styles(curves):
             point = curves[name][0]
             axes.plot([point.encode_ms or 0.0], [point.bpp], linestyle="none", label=name, **style)
+        front = _front([(p[0].encode_ms or 0.0, p[0].bpp) for p in curves.values()])
+        axes.step(
+            *zip(*front, strict=True), where="post", color="#9aa0aa", linewidth=1, linestyle="--", zorder=1
+        )
         axes.set_xscale("log")
         axes.set_xticks(
             [t for t in (1, 3, 10, 30, 100, 300, 1000, 3000, 10000, 30000) if low / 2 < t < 2 * high]
@@ -91,9 +110,19 @@ def _time_plot(curves: Curves) -> Plot:
         axes.set_ylim(bottom=0)
         legend(axes)
     caption = (
-        f"Everyone who bounds the error, at {1e3 * _EQUAL_ERROR:g} mm. Lower and further left is better."
+        f"Everyone who bounds the error, at {1e3 * _EQUAL_ERROR:g} mm. Lower and further left is better; the dashed "
+        "line joins those that no other beats in both."
     )
     return Plot("Rate against time", caption, "".join(svg))
+
+
+def _front(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Keep the points (time, rate) that no other beats in both, ascending in time: the Pareto front."""
+    front: list[tuple[float, float]] = []
+    for time, rate in sorted(points):
+        if not front or rate < front[-1][1]:
+            front.append((time, rate))
+    return front
 
 
 def _curves(report: Mapping[str, Any]) -> dict[str, list[Point]]:

@@ -17,6 +17,7 @@ def render_page(
     report: Mapping[str, Any],
     tables: Sequence[Table],
     plots: Sequence[Plot],
+    sequence_plots: Sequence[Plot],
     pictures: Mapping[str, Sequence[Picture]],
 ) -> str:
     """Fill ``page.html.j2``. ``pictures`` by sequence."""
@@ -33,6 +34,7 @@ def render_page(
         claims=headline(report),
         tables=tables,
         plots=plots,
+        sequence_plots=sequence_plots,
         pictures=pictures,
     )
 

@@ -28,7 +28,8 @@ def record(out: Path, run: Mapping[str, Any] | None = None, **tables: pa.Table) 
     """Write tables by name (``metrics=``, ``times=``, ``failures=``, ``baselines=``) and the run's description.
 
     ``run`` is any JSON object; the report shows ``command``, ``config``, ``config_digest``, ``tool_version``,
-    ``started``, ``finished`` (ISO 8601), ``notes`` (list of lines) and ``source`` (where the scans came from).
+    ``started``, ``finished`` (ISO 8601), ``notes`` (list of lines), ``source`` (where the scans came from) and
+    ``inputs`` (by sequence, the digest of its scans and the configuration).
     """
     folder = out / "report"
     folder.mkdir(parents=True, exist_ok=True)

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from salpcc.stages.evaluate.aggregate import STREAMS, figures, total
 from salpcc.stages.evaluate.baseline_figures import baseline_figures, bd_rates
+from salpcc.stages.evaluate.comparison_plots import sequence_plots
 from salpcc.stages.evaluate.machine import describe_machine
 from salpcc.stages.evaluate.page import render_page
 from salpcc.stages.evaluate.pictures import Picture, scan_pictures
@@ -45,7 +46,7 @@ def build(out: Path) -> dict[str, Any]:
     for table in tables:
         pq.write_table(table.to_arrow(), folder / "tables" / f"{table.name}.parquet")
     (folder / "tables.md").write_text(to_document(tables))
-    page = render_page(report, tables, all_plots(report), _pictures(metrics))
+    page = render_page(report, tables, all_plots(report), sequence_plots(report), _pictures(metrics))
     (folder / "index.html").write_text(page, encoding="utf-8")
     return report
 

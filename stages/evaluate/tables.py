@@ -30,7 +30,8 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table; ``note`` is a sentence under it, ``last_is_total`` sets the last row apart."""
+    """A titled table; ``note`` is a sentence under it, ``last_is_total`` sets the last row apart,
+    ``grouped`` a row whose first cell differs from the one above."""
 
     name: str
     title: str
@@ -38,6 +39,7 @@ class Table:
     rows: tuple[Mapping[str, Any], ...]
     note: str = ""
     last_is_total: bool = False
+    grouped: bool = False
 
     def cells(self) -> list[list[str]]:
         """Every cell as text, row by row."""

@@ -19,6 +19,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate import report, stage
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.measure import measure
+from salpcc.stages.evaluate.comparison_plots import _front
 from salpcc.stages.evaluate.record import record, recorded
 from salpcc.stages.evaluate.schema import BASELINES as BASELINES_SCHEMA
 from salpcc.stages.evaluate.schema import FAILURES, TIMES
@@ -124,6 +125,26 @@ def test_baselines_stand_under_their_names_and_errors(out: Path) -> None:
     octree = baselines["octree"]["0.01"]
     assert octree["points_lost"] > 0 and octree["bpp"]["total"] is None
     assert octree["max_axis_error_m"] <= 0.01 + 1e-5
+    assert octree["promise_kept"] and baselines["xz"]["0"]["promise_kept"]
+
+
+def test_a_broken_promise_is_shown(out: Path) -> None:
+    rows = recorded(out, "baselines").to_pylist()
+    moved = [row | {"max_axis_error_m": 0.011} if row["baseline"] == "octree" else row for row in rows]
+    record(out, baselines=pa.Table.from_pylist(moved, schema=BASELINES_SCHEMA))
+    assert report.build(out)["baselines"]["octree"]["0.01"]["promise_kept"] is False
+    table = pq.read_table(out / "report" / "tables" / "baselines.parquet").to_pylist()
+    assert [row["promise"] for row in table if row["codec"] == "octree"] == ["each axis, BROKEN"]
+
+
+def test_curves_of_each_sequence_and_the_front(out: Path) -> None:
+    rows = recorded(out, "baselines").to_pylist()
+    rows += [row | {"sequence": "04"} for row in rows]
+    record(out, baselines=pa.Table.from_pylist(rows, schema=BASELINES_SCHEMA))
+    report.build(out)
+    page = (out / "report" / "index.html").read_text()
+    assert page.count("<svg") == 7 and "sequence by sequence" in page
+    assert _front([(3.0, 5.0), (1.0, 9.0), (2.0, 9.5), (4.0, 4.0)]) == [(1.0, 9.0), (3.0, 5.0), (4.0, 4.0)]
 
 
 def test_a_codec_that_is_not_here_has_one_row_that_says_so(out: Path) -> None:
