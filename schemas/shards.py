@@ -15,6 +15,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ShardError
+from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 
 SHARD_VERSION = "1.0"
@@ -61,8 +62,10 @@ PREDICTION = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
         pa.field("effort", pa.string(), nullable=False),
-        pa.field("prediction", _list(pa.int32())),
+        pa.field("level", _list(pa.int32())),
         pa.field("spread", _list(pa.uint8())),
+        pa.field("range_interval", _list(pa.uint32())),
+        pa.field("intensity_interval", _list(pa.uint32())),
     ]
 )
 PAYLOAD = pa.schema(
@@ -113,6 +116,30 @@ def sweeps_to_table(sweeps: Iterable[Sweep], dropped_movable: Iterable[int] | No
 def table_to_sweeps(table: pa.Table) -> list[Sweep]:
     """Take the sweeps out of a SWEEP or TASK table; inverse of :func:`sweeps_to_table`."""
     return [_row(table, i) for i in range(table.num_rows)]
+
+
+_PREDICTED = ("level", "spread", "range_interval", "intensity_interval")
+
+
+def predictions_to_table(names: Iterable[str], predictions: Iterable[Prediction]) -> pa.Table:
+    """Lay the predictions of scans out as a PREDICTION table."""
+    rows = list(predictions)
+    columns = [pa.array(list(names), pa.string()), pa.array([row.effort for row in rows], pa.string())]
+    for name in _PREDICTED:
+        columns.append(_column([getattr(row, name) for row in rows], PREDICTION.field(name).type))
+    return pa.Table.from_arrays(columns, schema=PREDICTION)
+
+
+def table_to_predictions(table: pa.Table) -> list[Prediction]:
+    """Take the predictions out of a PREDICTION table; inverse of :func:`predictions_to_table`."""
+    predictions = []
+    for row in range(table.num_rows):
+        arrays = {name: list_array(table, name, row) for name in _PREDICTED}
+        for name in ("range_interval", "intensity_interval"):
+            if arrays[name] is not None:
+                arrays[name] = arrays[name].reshape(-1, 2)
+        predictions.append(Prediction(table.column("effort")[row].as_py(), **arrays))
+    return predictions
 
 
 def _column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:

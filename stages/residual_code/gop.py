@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.prediction import predict
-from salpcc.stages.residual_code.models import GopModels, effective_effort
+from salpcc.stages.residual_code.models import GopModels
 from salpcc.stages.residual_code.payload import Payload
 from salpcc.stages.residual_code.scan_coder import decode_scan, encode_scan
 
@@ -19,11 +19,7 @@ from salpcc.stages.residual_code.scan_coder import decode_scan, encode_scan
 def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "default") -> list[Payload]:
     """Encode the sweeps of one GOP, predictions included."""
     models = GopModels(sensor)
-    payloads = []
-    for sweep in sweeps:
-        able = effective_effort(sweep, sensor, effort)
-        payloads.append(encode_scan(sweep, sensor, predict(sweep, sensor, able), models, able))
-    return payloads
+    return [encode_scan(sweep, sensor, predict(sweep, sensor, effort), models) for sweep in sweeps]
 
 
 def decode_gop(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep]:

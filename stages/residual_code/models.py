@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
 from salpcc.stages.predict.learned.models import EFFORTS, LearnedModels, load_models
 from salpcc.stages.predict.neighbours import laser_table
-from salpcc.stages.predict.prediction import Prediction
 from salpcc.stages.residual_code import (
     class_coder,
     correction_coder,
@@ -25,6 +25,7 @@ from salpcc.stages.residual_code import (
     level_coder,
     mask_coder,
 )
+from salpcc.stages.residual_code.interval_coder import encode_intervals
 from salpcc.stages.residual_code.range_coder import new_bits
 
 Bytes = NDArray[np.uint8]
@@ -41,7 +42,9 @@ class ValueModels(Protocol):
 
     def encode_levels(self, sweep: Sweep, starts: Starts, predicted: Prediction, out: Bytes) -> int: ...
     def decode_levels(self, starts: Starts, tick: Ticks, step: int, data: Bytes) -> tuple[Ticks, bool]: ...
-    def encode_intensity(self, sweep: Sweep, starts: Starts, values: Bytes, out: Bytes) -> int: ...
+    def encode_intensity(
+        self, sweep: Sweep, starts: Starts, values: Bytes, predicted: Prediction, out: Bytes
+    ) -> int: ...
     def decode_intensity(
         self, starts: Starts, tick: Ticks, level: Ticks, step: int, data: Bytes
     ) -> tuple[Bytes, bool]: ...
@@ -72,7 +75,9 @@ class AdaptiveModels:
         )
         return level, bool(sound)
 
-    def encode_intensity(self, sweep: Sweep, starts: Starts, values: Bytes, out: Bytes) -> int:
+    def encode_intensity(
+        self, sweep: Sweep, starts: Starts, values: Bytes, predicted: Prediction, out: Bytes
+    ) -> int:
         return int(
             intensity_coder.encode_intensity(
                 starts, sweep.tick, sweep.count, values, self.intensity, self.by_laser, out
@@ -100,17 +105,22 @@ class NetworkModels:
         return bytes.fromhex(self.learned.digest)[:8]
 
     def encode_levels(self, sweep: Sweep, starts: Starts, predicted: Prediction, out: Bytes) -> int:
-        return range_model.encode_ranges(
-            starts, sweep.tick, sweep.count, sweep.step, self.sensor, self.learned.ranges, out
+        assert predicted.range_interval is not None
+        header = range_model.HEADER
+        out[:header] = np.frombuffer(
+            range_model.count_levels(sweep.count).to_bytes(header, "little"), np.uint8
         )
+        written = int(encode_intervals(predicted.range_interval, out[header:]))
+        return written + header if written >= 0 else -1
 
     def decode_levels(self, starts: Starts, tick: Ticks, step: int, data: Bytes) -> tuple[Ticks, bool]:
         return range_model.decode_ranges(starts, tick, step, self.sensor, self.learned.ranges, data)
 
-    def encode_intensity(self, sweep: Sweep, starts: Starts, values: Bytes, out: Bytes) -> int:
-        return intensity_model.encode_intensity(
-            starts, sweep.tick, sweep.count, sweep.step, values, self.sensor, self.learned.intensity, out
-        )
+    def encode_intensity(
+        self, sweep: Sweep, starts: Starts, values: Bytes, predicted: Prediction, out: Bytes
+    ) -> int:
+        assert predicted.intensity_interval is not None
+        return int(encode_intervals(predicted.intensity_interval, out))
 
     def decode_intensity(
         self, starts: Starts, tick: Ticks, level: Ticks, step: int, data: Bytes
@@ -118,13 +128,6 @@ class NetworkModels:
         return intensity_model.decode_intensity(
             starts, tick, level, step, self.sensor, self.learned.intensity, data
         )
-
-
-def effective_effort(sweep: Sweep, sensor: SensorModel, effort: str) -> str:
-    """Return the effort that can code the sweep: the networks know 64 lasers and ranges up to 262 m."""
-    reach = int(sweep.count.max(initial=0))
-    fits = sensor.n_lasers <= 64 and reach < range_model.LEVEL_LIMIT and len(sweep.laser) > 0
-    return effort if fits else "fast"
 
 
 @dataclass(frozen=True)

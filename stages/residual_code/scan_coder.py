@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.lattice import NO_CORRECTION, unproject
 from salpcc.stages.ingest.publish import (
@@ -17,8 +18,8 @@ from salpcc.stages.ingest.publish import (
 )
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.neighbours import ring_starts
-from salpcc.stages.predict.prediction import Prediction
-from salpcc.stages.residual_code import class_coder, correction_coder, intensity_coder, mask_coder
+from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
+from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
 from salpcc.stages.residual_code.models import GopModels
 from salpcc.stages.residual_code.payload import (
     CLASSES,
@@ -33,15 +34,6 @@ from salpcc.stages.residual_code.payload import (
 from salpcc.stages.residual_code.stray_coder import decode_floats, decode_strays, encode_floats, encode_strays
 
 Array = NDArray[np.uint8]
-_INTENSITY_OF_LEVEL = (np.arange(intensity_coder.LEVELS) / 100).astype(np.float32)
-
-
-def intensity_levels(intensity: NDArray[np.float32]) -> Array | None:
-    """Return intensities ``(M,)`` in hundredths, or None where one is not float32 of n / 100."""
-    with np.errstate(invalid="ignore"):
-        levels = np.clip(np.nan_to_num(np.rint(intensity * 100.0)), 0, 100).astype(np.uint8)
-    same = _INTENSITY_OF_LEVEL[levels].view(np.int32) == np.ascontiguousarray(intensity).view(np.int32)
-    return levels if bool(same.all()) else None
 
 
 def _run(encode: Callable[[Array], int], values: int) -> bytes:
@@ -60,10 +52,9 @@ def encode_scan(
     sensor: SensorModel,
     predicted: Prediction,
     models: GopModels,
-    effort: str,
 ) -> Payload:
     """Encode the next scan of a GOP from its sweep and the prediction of its levels."""
-    values = models.values(effort)
+    values = models.values(predicted.effort)
     starts = ring_starts(sweep.laser, sensor.n_lasers)
     tick, level = sweep.tick, sweep.count
     n, s = len(level), len(sweep.stray_index)
@@ -101,7 +92,7 @@ def encode_scan(
         flags |= FLOAT_INTENSITY
         streams.append(_run(lambda out: encode_floats(sweep.intensity, out), n))
     else:
-        streams.append(_run(lambda out: values.encode_intensity(sweep, starts, levels, out), n))
+        streams.append(_run(lambda out: values.encode_intensity(sweep, starts, levels, predicted, out), n))
     streams.append(_run(lambda out: encode_floats(sweep.stray_points[:, 3], out), s))
     if sweep.classes is not None and sweep.stray_classes is not None:
         flags |= CLASSES
@@ -112,7 +103,7 @@ def encode_scan(
     else:
         streams.append(b"")
     header = Header(
-        flags | (MOTION if sweep.motion is not None else 0), effort, sweep.n_points, n, s, sweep.step,
+        flags | (MOTION if sweep.motion is not None else 0), predicted.effort, sweep.n_points, n, s, sweep.step,
         sweep.max_error, reach[0], reach[1], content_crc(sweep), values.weights, sweep.motion,
     )  # fmt: skip
     return pack(header, streams)
@@ -181,7 +172,7 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     if header.flags & FLOAT_INTENSITY:
         intensities = checked(decode_floats(n, intensity))
     else:
-        intensities = _INTENSITY_OF_LEVEL[
+        intensities = INTENSITY_OF_LEVEL[
             checked(values.decode_intensity(starts, tick, count, header.step, intensity))
         ]
     fourth = checked(decode_floats(s, stray_intensity))

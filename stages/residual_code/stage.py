@@ -5,13 +5,12 @@ from __future__ import annotations
 import pyarrow as pa
 
 from salpcc.schemas.config import RunConfig
-from salpcc.schemas.shards import PAYLOAD, list_array, table_to_sweeps
+from salpcc.schemas.shards import PAYLOAD, table_to_predictions, table_to_sweeps
 from salpcc.stages.ingest.sensor_model import load_sensor
-from salpcc.stages.predict.prediction import Prediction
 from salpcc.stages.residual_code.models import GopModels
 from salpcc.stages.residual_code.scan_coder import encode_scan
 
-VERSION = 2
+VERSION = 3
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
@@ -19,10 +18,10 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
     sensor = load_sensor(config.sensor)
     models = GopModels(sensor)
     rows = []
-    for i, sweep in enumerate(table_to_sweeps(task)):
-        predicted = Prediction(list_array(prediction, "prediction", i), list_array(prediction, "spread", i))
-        effort = prediction.column("effort")[i].as_py()
-        payload = encode_scan(sweep, sensor, predicted, models, effort)
+    for i, (sweep, predicted) in enumerate(
+        zip(table_to_sweeps(task), table_to_predictions(prediction), strict=True)
+    ):
+        payload = encode_scan(sweep, sensor, predicted, models)
         rows.append(
             {
                 "name": sweep.name,

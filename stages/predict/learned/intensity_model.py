@@ -1,4 +1,4 @@
-"""Code the intensities (0..100) of a sweep whose ranges are known; encoder and decoder are one walk.
+"""Predict the intensities (0..100) of a sweep whose ranges are known; encoder and decoder are one walk.
 
 Stream: one interval of 2 ** 24 per return in firing order. The network's 101 logits become integer
 frequencies; their running sums, scaled to 2 ** 24, are the intervals.
@@ -18,15 +18,13 @@ from salpcc.stages.predict.learned.sweep_walk import laser_constants, longest_ri
 from salpcc.stages.residual_code.range_coder import (
     decode_interval,
     decode_target,
-    encode_interval,
-    finish_encoder,
     start_decoder,
-    start_encoder,
 )
 
 BITS = 24
 OUTPUTS = 104  # 101 values, padded
-ENCODE, DECODE, COLLECT = 0, 1, 2
+PREDICT, DECODE, COLLECT = 0, 1, 2
+_NO_INTERVALS = np.zeros((0, 2), np.uint32)
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 _FINE = np.float32(16384.0)
 _LINK = np.float32(1.0 / 16.0)
@@ -78,10 +76,10 @@ def frequencies(out, freq):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def walk(  # type: ignore[no-untyped-def]
     mode, starts, azimuth, inverse, intensity, constants,
-    first, tables, hidden, hidden_bias, last, last_bias, scales, state, data,
+    first, tables, hidden, hidden_bias, last, last_bias, scales, intervals, state, data,
     keep, rows_x, rows_side,
 ):  # fmt: skip
-    """Encode ``intensity`` into ``data``, decode it, or collect training rows of the returns in ``keep``."""
+    """Predict ``intensity`` (fills ``intervals``), decode it, or collect rows of the returns in ``keep``."""
     n_rings = len(starts) - 1
     size = azimuth.shape[1]
     values = np.zeros((3, size), np.float32)
@@ -173,7 +171,7 @@ def walk(  # type: ignore[no-untyped-def]
                 total = 0
                 for v in range(VALUES):
                     total += freq[v]
-                if mode == ENCODE:
+                if mode == PREDICT:
                     value = int(intensity[lo + i])
                     cum = 0
                     for v in range(value):
@@ -189,8 +187,9 @@ def walk(  # type: ignore[no-untyped-def]
                         value += 1
                 low = (cum << BITS) // total
                 high = ((cum + freq[value]) << BITS) // total
-                if mode == ENCODE:
-                    encode_interval(state, data, low, high - low, BITS)
+                if mode == PREDICT:
+                    intervals[lo + i, 0] = low
+                    intervals[lo + i, 1] = high - low
                 else:
                     decode_interval(state, data, low, high - low, BITS)
                     intensity[lo + i] = value
@@ -202,7 +201,7 @@ def walk(  # type: ignore[no-untyped-def]
     return rows
 
 
-def encode_intensity(
+def predict_intensity(
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],
     level: NDArray[np.int32],
@@ -210,9 +209,11 @@ def encode_intensity(
     intensity: NDArray[np.uint8],
     sensor: SensorModel,
     network: Network,
-    out: NDArray[np.uint8],
-) -> int:
-    """Encode intensities ``(M,)`` 0..100 into ``out``; return the bytes written, -1 if it is too small.
+) -> NDArray[np.uint32]:
+    """Predict intensities ``(M,)`` 0..100 from all ranges and the intensities before.
+
+    Returns:
+        ``(M, 2)`` start and width, of ``2 ** BITS``, of the interval of each actual intensity.
 
     Raises:
         ValueError: an intensity above 100.
@@ -221,12 +222,13 @@ def encode_intensity(
         raise ValueError("intensities must lie in 0..100")
     constants = laser_constants(sensor)
     azimuth, inverse = place_rings(starts, tick, level, step, constants)
-    state = start_encoder()
+    intervals = np.zeros((len(intensity), 2), np.uint32)
+    unread = np.zeros(1, np.uint8)
     walk(
-        ENCODE, starts, azimuth, inverse, intensity, constants, *network.arrays(), state, out,
-        _NO_KEEP, *_NO_ROWS,
+        PREDICT, starts, azimuth, inverse, intensity, constants, *network.arrays(), intervals,
+        start_decoder(unread), unread, _NO_KEEP, *_NO_ROWS,
     )  # fmt: skip
-    return int(finish_encoder(state, out))
+    return intervals
 
 
 def decode_intensity(
@@ -238,15 +240,16 @@ def decode_intensity(
     network: Network,
     data: NDArray[np.uint8],
 ) -> tuple[NDArray[np.uint8], bool]:
-    """Return intensities ``(M,)`` uint8 and whether the data sufficed; inverse of :func:`encode_intensity`."""
+    """Return intensities ``(M,)`` uint8 and whether the data sufficed; inverse of
+    :func:`predict_intensity` and the range coder."""
     constants = laser_constants(sensor)
     azimuth, inverse = place_rings(starts, tick, level, step, constants)
     intensity = np.zeros(len(tick), np.uint8)
     body = np.ascontiguousarray(data)
     state = start_decoder(body)
     walk(
-        DECODE, starts, azimuth, inverse, intensity, constants, *network.arrays(), state, body,
-        _NO_KEEP, *_NO_ROWS,
+        DECODE, starts, azimuth, inverse, intensity, constants, *network.arrays(), _NO_INTERVALS, state,
+        body, _NO_KEEP, *_NO_ROWS,
     )  # fmt: skip
     return intensity, bool(state[3] == 0)
 
@@ -267,7 +270,7 @@ def collect_intensity(
     azimuth, inverse = place_rings(starts, tick, level, step, constants)
     none = Network.empty(INPUTS, OUTPUTS)
     walk(
-        COLLECT, starts, azimuth, inverse, intensity, constants, *none.arrays(), start_encoder(),
-        np.zeros(1, np.uint8), keep, x, sides,
+        COLLECT, starts, azimuth, inverse, intensity, constants, *none.arrays(), _NO_INTERVALS,
+        start_decoder(np.zeros(1, np.uint8)), np.zeros(1, np.uint8), keep, x, sides,
     )  # fmt: skip
     return x, sides

@@ -1,4 +1,4 @@
-"""Code the range levels of a sweep with the learned mixture; encoder and decoder are one walk.
+"""Predict the range levels of a sweep with the learned mixture; encoder and decoder are one walk.
 
 Stream: the number of levels (3 bytes, little endian), then one interval of 2 ** 24 per return in
 firing order, coded by :mod:`salpcc.stages.residual_code.range_coder`.
@@ -27,27 +27,26 @@ from salpcc.stages.predict.learned.sweep_walk import height_ratio, laser_constan
 from salpcc.stages.residual_code.range_coder import (
     decode_interval,
     decode_target,
-    encode_interval,
-    finish_encoder,
     start_decoder,
-    start_encoder,
 )
 
 LEVEL_LIMIT = 1 << 17  # levels of a sweep; a return beyond cannot be coded here
-_HEADER = 3
+HEADER = 3
 _NO_KEEP = np.zeros(0, np.bool_)
 _NO_ROWS = (np.zeros((0, 0), np.int16), np.zeros((0, 0), np.float32), np.zeros(0, np.float32))
-ENCODE, DECODE, COLLECT = 0, 1, 2
+PREDICT, DECODE, COLLECT = 0, 1, 2
+_NO_INTERVALS = np.zeros((0, 2), np.uint32)
 
 
 @njit(cache=True, error_model="numpy")
 def walk(  # type: ignore[no-untyped-def]
     mode, starts, tick, level, step, levels, constants,
-    first, tables, hidden, hidden_bias, last, last_bias, scales, state, data,
+    first, tables, hidden, hidden_bias, last, last_bias, scales, intervals, state, data,
     keep, rows_x, rows_mu, rows_y,
 ):  # fmt: skip
-    """Visit every return in firing order: encode ``level`` into ``data``, decode it, or collect rows.
+    """Visit every return in firing order: predict ``level``, decode it, or collect rows.
 
+    PREDICT fills ``intervals`` with where each level lies in its predicted distribution.
     COLLECT fills one training row per return with ``keep`` set: features, predictions and the actual
     count, both relative to the last predictor, in counts. Returns the number of rows.
     """
@@ -113,7 +112,8 @@ def walk(  # type: ignore[no-untyped-def]
                     value = int(level[lo + i])
                     low = level_start(mix, n, value, step, levels)
                     high = level_start(mix, n, value + 1, step, levels)
-                    encode_interval(state, data, low, high - low, BITS)
+                    intervals[lo + i, 0] = low
+                    intervals[lo + i, 1] = high - low
             actual = np.float32(value * step) + middle
             here[PAD + i] = quotient / max(actual + offset, np.float32(1.0))
             note_errors(actual, mu, error0, errors, PAD + i)
@@ -128,34 +128,38 @@ def walk(  # type: ignore[no-untyped-def]
     return rows
 
 
-def encode_ranges(
+def count_levels(level: NDArray[np.int32]) -> int:
+    """Return how many levels a sweep's range levels ``(M,)`` need; the stream says so first."""
+    return int(level.max(initial=0)) + 1
+
+
+def predict_ranges(
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],
     level: NDArray[np.int32],
     step: int,
     sensor: SensorModel,
     network: Network,
-    out: NDArray[np.uint8],
-) -> int:
-    """Encode levels ``(M,)`` in firing order into ``out``; return the bytes written, -1 if it is too small.
+) -> NDArray[np.uint32]:
+    """Predict every level ``(M,)`` from the returns before it.
+
+    Returns:
+        ``(M, 2)`` start and width, of ``2 ** BITS``, of the interval that the predicted distribution gives
+        to the actual level: what a range coder needs.
 
     Raises:
         ValueError: a level outside ``[0, LEVEL_LIMIT)``.
     """
-    levels = int(level.max()) + 1 if len(level) else 1
+    levels = count_levels(level)
     if levels > LEVEL_LIMIT or (len(level) and int(level.min()) < 0):
         raise ValueError(f"range levels must lie in 0..{LEVEL_LIMIT - 1}")
-    if len(out) < _HEADER:
-        return -1
-    out[:_HEADER] = np.frombuffer(levels.to_bytes(_HEADER, "little"), np.uint8)
-    state = start_encoder()
-    body = out[_HEADER:]
+    intervals = np.zeros((len(level), 2), np.uint32)
+    unread = np.zeros(1, np.uint8)
     walk(
-        ENCODE, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), state, body,
-        _NO_KEEP, *_NO_ROWS,
+        PREDICT, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), intervals,
+        start_decoder(unread), unread, _NO_KEEP, *_NO_ROWS,
     )  # fmt: skip
-    written = int(finish_encoder(state, body))
-    return written + _HEADER if written >= 0 else -1
+    return intervals
 
 
 def decode_ranges(
@@ -166,16 +170,17 @@ def decode_ranges(
     network: Network,
     data: NDArray[np.uint8],
 ) -> tuple[NDArray[np.int32], bool]:
-    """Return the levels ``(M,)`` int32 and whether the data sufficed; inverse of :func:`encode_ranges`."""
+    """Return the levels ``(M,)`` int32 and whether the data sufficed; inverse of
+    :func:`predict_ranges` and the range coder."""
     level = np.zeros(len(tick), np.int32)
-    levels = int.from_bytes(data[:_HEADER].tobytes(), "little")
-    if len(data) < _HEADER or not 1 <= levels <= LEVEL_LIMIT:
+    levels = int.from_bytes(data[:HEADER].tobytes(), "little")
+    if len(data) < HEADER or not 1 <= levels <= LEVEL_LIMIT:
         return level, False
-    body = np.ascontiguousarray(data[_HEADER:])
+    body = np.ascontiguousarray(data[HEADER:])
     state = start_decoder(body)
     walk(
-        DECODE, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), state, body,
-        _NO_KEEP, *_NO_ROWS,
+        DECODE, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), _NO_INTERVALS, state,
+        body, _NO_KEEP, *_NO_ROWS,
     )  # fmt: skip
     return level, bool(state[3] == 0)
 
@@ -193,7 +198,7 @@ def collect_ranges(
     x, mu, y = np.zeros((n, INPUTS), np.int16), np.zeros((n, PREDICTORS), np.float32), np.zeros(n, np.float32)
     none = Network.empty(INPUTS, 4)
     walk(
-        COLLECT, starts, tick, level, step, 1, laser_constants(sensor), *none.arrays(), start_encoder(),
-        np.zeros(1, np.uint8), keep, x, mu, y,
+        COLLECT, starts, tick, level, step, 1, laser_constants(sensor), *none.arrays(), _NO_INTERVALS,
+        start_decoder(np.zeros(1, np.uint8)), np.zeros(1, np.uint8), keep, x, mu, y,
     )  # fmt: skip
     return x, mu, y

@@ -9,6 +9,9 @@ import pytest
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.predict.learned.network import Network
+from salpcc.stages.predict.learned.range_model import HEADER, count_levels, predict_ranges
+from salpcc.stages.residual_code.interval_coder import encode_intervals
 
 
 class Returns(NamedTuple):
@@ -27,3 +30,17 @@ def returns(make_scan: Callable[..., Scan], sensor: SensorModel) -> Returns:
     starts = np.searchsorted(sweep.laser, np.arange(sensor.n_lasers + 1)).astype(np.int64)
     intensity = np.rint(sweep.intensity * 100).astype(np.uint8)
     return Returns(starts, sweep.tick, sweep.count, intensity)
+
+
+def coded(intervals: np.ndarray) -> np.ndarray:
+    """The bytes of predicted intervals."""
+    out = np.zeros(4 * len(intervals) + 64, np.uint8)
+    return out[: encode_intervals(intervals, out)].copy()
+
+
+def range_stream(
+    starts: np.ndarray, tick: np.ndarray, level: np.ndarray, step: int, sensor: SensorModel, network: Network
+) -> np.ndarray:
+    """The bytes of range levels: how many levels there are, and the intervals."""
+    header = np.frombuffer(count_levels(level).to_bytes(HEADER, "little"), np.uint8)
+    return np.concatenate([header, coded(predict_ranges(starts, tick, level, step, sensor, network))])

@@ -4,20 +4,19 @@ import numpy as np
 import pytest
 
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.predict.learned.intensity_model import decode_intensity, encode_intensity, frequencies
+from salpcc.stages.predict.learned.intensity_model import decode_intensity, frequencies, predict_intensity
 from salpcc.stages.predict.learned.models import EFFORTS, load_models
 
-from .conftest import Returns
+from .conftest import Returns, coded
 
 
 def encode(returns: Returns, step: int, sensor: SensorModel, effort: str = "default") -> np.ndarray:
-    out = np.zeros(4 * len(returns.tick) + 64, np.uint8)
     level = returns.count // step
     network = load_models(effort).intensity
-    written = encode_intensity(
-        returns.starts, returns.tick, level, step, returns.intensity, sensor, network, out
+    intervals = predict_intensity(
+        returns.starts, returns.tick, level, step, returns.intensity, sensor, network
     )
-    return out[:written].copy()
+    return coded(intervals)
 
 
 @pytest.mark.parametrize("effort", EFFORTS)

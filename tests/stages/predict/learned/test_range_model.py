@@ -5,18 +5,14 @@ import pytest
 
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned.models import EFFORTS, load_models
-from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, decode_ranges, encode_ranges
+from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, decode_ranges, predict_ranges
 
-from .conftest import Returns
+from .conftest import Returns, range_stream
 
 
 def encode(returns: Returns, step: int, sensor: SensorModel, effort: str = "default") -> np.ndarray:
-    out = np.zeros(4 * len(returns.tick) + 64, np.uint8)
     level = returns.count // step
-    written = encode_ranges(
-        returns.starts, returns.tick, level, step, sensor, load_models(effort).ranges, out
-    )
-    return out[:written].copy()
+    return range_stream(returns.starts, returns.tick, level, step, sensor, load_models(effort).ranges)
 
 
 @pytest.mark.parametrize("effort", EFFORTS)
@@ -49,19 +45,16 @@ def test_empty_sweep_and_empty_rings(sensor: SensorModel) -> None:
     for s, count in ((np.zeros(65, np.int64), []), (starts, [5000])):
         tick = np.full(len(count), 7, np.int32)
         level = np.array(count, np.int32)
-        out = np.zeros(64, np.uint8)
-        written = encode_ranges(s, tick, level, 1, sensor, network, out)
-        back, sound = decode_ranges(s, tick, 1, sensor, network, out[:written])
+        data = range_stream(s, tick, level, 1, sensor, network)
+        back, sound = decode_ranges(s, tick, 1, sensor, network, data)
         assert sound
         np.testing.assert_array_equal(back, level)
 
 
-def test_a_small_buffer_and_a_bad_level_are_refused(returns: Returns, sensor: SensorModel) -> None:
+def test_a_bad_level_is_refused(returns: Returns, sensor: SensorModel) -> None:
     network = load_models("default").ranges
-    few = (returns.starts, returns.tick)
-    assert encode_ranges(*few, returns.count, 1, sensor, network, np.zeros(100, np.uint8)) == -1
     with pytest.raises(ValueError, match="range levels"):
-        encode_ranges(*few, returns.count - 10**6, 1, sensor, network, np.zeros(100, np.uint8))
+        predict_ranges(returns.starts, returns.tick, returns.count - 10**6, 1, sensor, network)
 
 
 def test_damage_never_leaves_the_bounds(returns: Returns, sensor: SensorModel) -> None:

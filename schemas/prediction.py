@@ -1,0 +1,27 @@
+"""The prediction: what is known of a sweep's values before they are coded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Predictions of a sweep's M returns; which there are depends on the effort.
+
+    Attributes:
+        effort: the effort that coding will take; ``fast`` where no network knows the sensor.
+        level, spread: effort ``fast``: predicted level int32 and spread bucket uint8, ``(M,)``.
+        range_interval, intensity_interval: the learned efforts: uint32 ``(M, 2)``, start and width of the
+            interval that the predicted distribution gives to the actual value. The latter is None for
+            intensities that are no hundredths.
+    """
+
+    effort: str
+    level: NDArray[np.int32] | None = None
+    spread: NDArray[np.uint8] | None = None
+    range_interval: NDArray[np.uint32] | None = None
+    intensity_interval: NDArray[np.uint32] | None = None
