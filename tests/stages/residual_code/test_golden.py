@@ -112,7 +112,7 @@ def test_a_plain_processor_gives_the_same(tmp_path: Path) -> None:
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
     }
     command = [sys.executable, "-c", _SCRIPT, *(str(GOLDEN / name) for name in ARCHIVES)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     expected = [
         f"{name} {scan} {facts['points']} same"
