@@ -74,6 +74,7 @@ class Baseline:
     decode: Callable[[bytes], Points]
     program: str | None = None  # that must be on the PATH
     group: Group | None = None  # where scans are predicted from each other
+    geometry: Callable[[bytes], int] | None = None  # bytes of its data that are geometry, where they tell
 
     def together(self) -> Group:
         """Give the codec as one of groups; one that knows single scans takes them one at a time."""

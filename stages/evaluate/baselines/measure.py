@@ -77,12 +77,16 @@ def _measure(baseline: Baseline, scans: Sequence[Scan], max_error: float) -> lis
     with peak_above() as memory:
         data, encode_ms = _timed(lambda: together.encode(whole, max_error))
         decoded, decode_ms = _timed(lambda: together.decode(data))
-    geometry = data if whole is clouds else together.encode(clouds, max_error)
+    if baseline.geometry is not None:
+        geometry = [baseline.geometry(piece) for piece in data]
+    else:
+        plain = data if whole is clouds else together.encode(clouds, max_error)
+        geometry = [len(piece) for piece in plain]
     rows = []
-    for points, given, back, all_data, plain in zip(clouds, whole, decoded, data, geometry, strict=True):
+    for points, given, back, piece, size in zip(clouds, whole, decoded, data, geometry, strict=True):
         in_order = baseline.promise.order and len(back) == len(points)
         row: Row = {
-            "bytes_geometry": len(plain),
+            "bytes_geometry": size,
             "encode_ms": encode_ms / len(scans),
             "decode_ms": decode_ms / len(scans),
             "memory_mb": memory.megabytes,
@@ -91,7 +95,7 @@ def _measure(baseline: Baseline, scans: Sequence[Scan], max_error: float) -> lis
             "bit_exact": same_bits(given, back),
         }
         if whole is not clouds:
-            row["bytes_total"] = len(all_data)
+            row["bytes_total"] = len(piece)
         rows.append(row | _errors(points, np.ascontiguousarray(back[:, :3]), in_order))
     return rows
 

@@ -75,10 +75,20 @@ def decode(data: bytes) -> Points:
     return np.column_stack([scan.points, scan.intensity])[:, : data[0]].astype(np.float32, copy=False)
 
 
+def geometry_bytes(data: bytes) -> int:
+    """Bytes of one coded scan that are not intensity or classes."""
+    from salpcc.stages.residual_code.payload import STREAMS, unpack
+
+    _, streams = unpack(data[1:])
+    others = ("intensity", "stray_intensity", "classes")
+    return len(data) - sum(len(s) for name, s in zip(STREAMS, streams, strict=True) if name in others)
+
+
 SALPCC = Baseline(
     title="salpcc, one scan at a time",
     packages=(),
     promise=Promise(bound="distance", order=True, count=True, intensity=True),
     encode=encode,
     decode=decode,
+    geometry=geometry_bytes,
 )

@@ -134,7 +134,7 @@ def test_a_broken_promise_is_shown(out: Path) -> None:
     record(out, baselines=pa.Table.from_pylist(moved, schema=BASELINES_SCHEMA))
     assert report.build(out)["baselines"]["octree"]["0.01"]["promise_kept"] is False
     table = pq.read_table(out / "report" / "tables" / "baselines.parquet").to_pylist()
-    assert [row["promise"] for row in table if row["codec"] == "octree"] == ["each axis, BROKEN"]
+    assert [row["promise"] for row in table if row["codec"] == "octree"] == ["per axis, BROKEN"]
 
 
 def test_curves_of_each_sequence_and_the_front(out: Path) -> None:
