@@ -33,6 +33,7 @@ from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_writer import write_archive
 
 RECORD_VERSION = 1
+_warm: set[str] = set()  # efforts that this process has decoded
 
 
 def archive_path(out: Path, sequence: str) -> Path:
@@ -120,8 +121,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
         entries = [payload.entry for payload in payloads]
         names = {entry.name for entry in entries}
         refs = [scan for scan in gop.scans if scan.name in names]
-        warm = list(zip(range(2), decode_scans(reader, gop.number), strict=False))
-        del warm
+        _warm_up(reader, gop.number)
         classes = _given_classes(gop, refs, config)
         drops = classes is not None and not config.keep_movable
         table = evaluate.run(
@@ -151,6 +151,15 @@ def _given_classes(gop: GopSource, refs: list[ScanRef], config: RunConfig) -> li
     except SourceError:  # gone since: what was kept is found by matching
         return None
     return [scan.classes for scan in scans if scan.classes is not None]
+
+
+def _warm_up(reader: ArchiveReader, gop: int) -> None:
+    """Decode two scans for nothing the first time in a process, so that numba has compiled what is measured."""
+    effort = str(reader.facts.config.get("effort"))
+    if effort not in _warm:
+        for _ in zip(range(2), decode_scans(reader, gop), strict=False):
+            pass
+        _warm.add(effort)
 
 
 def _originals(gop: GopSource, refs: list[ScanRef]) -> Iterator[Scan | None]:
