@@ -11,6 +11,7 @@ from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned.intensity_model import predict_intensity
 from salpcc.stages.predict.learned.models import load_models
 from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, count_levels, predict_ranges
+from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.neighbours import laser_table, predict_levels, ring_starts
 
 INTENSITY_OF_LEVEL = (np.arange(101) / 100).astype(np.float32)
@@ -25,8 +26,8 @@ def intensity_levels(intensity: NDArray[np.float32]) -> NDArray[np.uint8] | None
 
 
 def effective_effort(sweep: Sweep, sensor: SensorModel, effort: str) -> str:
-    """Return the effort that can code the sweep: the networks know 64 lasers and ranges up to 262 m."""
-    fits = sensor.n_lasers <= 64 and count_levels(sweep.count) <= LEVEL_LIMIT and len(sweep.laser) > 0
+    """Return the effort that can code the sweep: the networks know the HDL-64E and ranges up to 262 m."""
+    fits = supports(sensor) and count_levels(sweep.count) <= LEVEL_LIMIT and len(sweep.laser) > 0
     return effort if fits else "fast"
 
 

@@ -123,7 +123,7 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
     if zlib.crc32(data[: -_CRC.size]) != crc:
         raise ArchiveError("payload is damaged (checksum differs)")
     fields = _FIXED.unpack_from(data)
-    version, flags, effort, _, n_points, returns, strays, step = fields[:8]
+    version, flags, effort, reserved, n_points, returns, strays, step = fields[:8]
     if version != CODEC_VERSION:
         raise ArchiveError(f"payload has codec version {version}, this tool reads {CODEC_VERSION}")
     position = _FIXED.size
@@ -136,9 +136,12 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
     lengths = fields[13:]
     sound = (
         effort < len(EFFORTS)
+        and flags < 8
+        and reserved == 0
         and returns + strays <= n_points <= MAX_POINTS
         and 1 <= step < 1 << 16
         and all(np.isfinite(fields[8:11]))
+        and (fields[8] > 0 or (fields[8] == 0 and step == 1))
         and (motion is None or bool(np.isfinite(motion).all()))
         and position + sum(lengths) + _CRC.size == len(data)
     )

@@ -72,7 +72,7 @@ def encode_interval(
 ) -> None:
     """Encode the interval ``[low, low + width)`` of ``2 ** bits``; width at least 1, bits at most 24."""
     r = state[1] >> bits
-    _renormalise_encoder(state[0] + r * low, r * width, state, out)
+    _renormalise_encoder(state[0] + r * low, max(r * width, 1), state, out)
 
 
 @njit(cache=True)
@@ -172,7 +172,8 @@ def decode_interval(
 ) -> None:
     """Consume the interval ``[low, low + width)`` that holds the target; inverse of encode_interval."""
     r = state[1] >> bits
-    _renormalise_decoder(state[0] - r * low, r * width, state, data)
+    # A model that gives an interval no width must not stop the decoder; the checksum will tell.
+    _renormalise_decoder(state[0] - r * low, max(r * width, 1), state, data)
 
 
 @njit(cache=True)

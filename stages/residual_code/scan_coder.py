@@ -17,6 +17,7 @@ from salpcc.stages.ingest.publish import (
     millimetre_boundary,
 )
 from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.neighbours import ring_starts
 from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
@@ -133,6 +134,8 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     values = models.known(header.effort, header.weights)
     if header.returns > sensor.n_lasers * sensor.ticks_per_turn:
         raise ArchiveError("payload has more returns than the sensor has firings")
+    if header.effort != "fast" and not supports(sensor):
+        raise ArchiveError(f"payload of effort {header.effort} is of a sensor that the networks do not know")
     sound = True
 
     def checked(result):  # type: ignore[no-untyped-def]

@@ -8,6 +8,7 @@ import pytest
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
+from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.residual_code.payload import content_crc
@@ -111,3 +112,33 @@ def test_a_newer_codec_version_is_named(payloads, sensor) -> None:
     body = bytes([payloads[0][0] + 1]) + payloads[0][1:-4]
     with pytest.raises(ArchiveError, match="codec version"):
         list(decode_gop([body + zlib.crc32(body).to_bytes(4, "little")], sensor))
+
+
+def test_a_payload_of_networks_that_do_not_know_the_sensor_is_refused(sweeps, sensor) -> None:
+    data = encode_gop(sweeps[:1], sensor, "default")[0].data
+    more = {k: np.tile(getattr(sensor, k), 2) for k in ("theta", "z0", "h", "phi0", "d0", "shift")}
+    assert _refused(data, replace(sensor, **more))
+
+
+def test_a_sensor_that_no_network_knows_is_coded_fast(sensor) -> None:
+    few = {k: getattr(sensor, k)[::4] for k in ("theta", "z0", "h", "phi0", "d0", "shift")}
+    small = replace(sensor, **few)
+    laser = np.repeat(np.arange(16), 500)
+    tick = np.tile(np.arange(0, 4000, 8), 16).astype(np.int32)
+    count = np.full(len(tick), 5000, np.int32)
+    none = np.full(len(tick), 13, np.uint8)
+    nothing = np.zeros((0, 4), np.float32)
+    sweep = Sweep(
+        "x", 0, "velodyne", len(tick), None, 1, 0.0, laser.astype(np.uint8), tick, count,
+        np.zeros(len(tick), np.float32), none, none, None, np.zeros(0, np.int64), nothing, None,
+    )  # fmt: skip
+    (back,) = decode_gop([encode_gop([sweep], small, "max")[0].data], small)
+    assert content_crc(back) == content_crc(sweep)
+
+
+def test_headers_that_no_writer_writes_are_refused(payloads, sensor) -> None:
+    body = bytearray(payloads[0][:-4])
+    for place, value in ((1, 255), (3, 1), (16, 7)):  # flags, reserved, step of an exact scan
+        changed = bytearray(body)
+        changed[place] = value
+        assert _refused(bytes(changed) + zlib.crc32(changed).to_bytes(4, "little"), sensor)
