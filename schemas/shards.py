@@ -134,10 +134,10 @@ def table_to_predictions(table: pa.Table) -> list[Prediction]:
     """Take the predictions out of a PREDICTION table; inverse of :func:`predictions_to_table`."""
     predictions = []
     for row in range(table.num_rows):
-        arrays = {name: list_array(table, name, row) for name in _PREDICTED}
+        arrays: dict[str, Any] = {name: list_array(table, name, row) for name in _PREDICTED}
         for name in ("range_interval", "intensity_interval"):
-            if arrays[name] is not None:
-                arrays[name] = arrays[name].reshape(-1, 2)
+            flat = arrays[name]
+            arrays[name] = None if flat is None else flat.reshape(-1, 2)
         predictions.append(Prediction(table.column("effort")[row].as_py(), **arrays))
     return predictions
 
