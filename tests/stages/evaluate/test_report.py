@@ -202,6 +202,13 @@ def test_measurements_of_a_newer_version_are_refused(out: Path) -> None:
         report.build(out)
 
 
+def test_measurements_of_an_older_version_are_read(out: Path) -> None:
+    path = out / "report" / "baselines.parquet"
+    old = pq.read_table(path).drop_columns(["memory_mb"])
+    pq.write_table(old.replace_schema_metadata({b"salpcc.evaluate.version": b"1"}), path)
+    assert report.build(out)["baselines"]["xz"]["0"]["memory_mb"] is None
+
+
 def test_damaged_measurements_are_one_clear_error(out: Path) -> None:
     (out / "report" / "times.parquet").write_bytes(b"not parquet")
     with pytest.raises(ShardError, match=r"times\.parquet: not readable"):
