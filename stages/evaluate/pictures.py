@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.labels import CLASSES
 
 _BACKGROUND = (16, 19, 26)
+_UNLABELLED = (122, 128, 140)  # black in the labels' own colours, which nobody would see here
 _RANGE_ROWS, _RANGE_COLUMNS, _STRETCH = 64, 1024, 3
 _SIDE, _REACH = 640, 48.0  # pixels, metres
 
@@ -39,8 +40,9 @@ def scan_pictures(
     if classes is None:
         first, what = height, of_height
     else:
-        first = np.array([c.colour for c in CLASSES], np.uint8)[classes[finite]]
-        present = [CLASSES[i].name for i in np.unique(classes[finite])]
+        colours = np.array([_UNLABELLED, *(c.colour for c in CLASSES[1:])], np.uint8)
+        first = colours[classes[finite]]
+        present = [CLASSES[i].name if i else "other (grey)" for i in np.unique(classes[finite])]
         what = "class: " + ", ".join(present)
     worst = float(np.max(error))
     second = _scale(error, 0.0, worst) if worst else height

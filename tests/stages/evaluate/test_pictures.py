@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import io
+
 import numpy as np
+from matplotlib.image import imread
 
 from salpcc.stages.evaluate.pictures import birds_eye, range_image, scan_pictures
 
@@ -36,6 +40,15 @@ def test_an_exact_scan_is_not_coloured_by_an_error_that_is_not_there() -> None:
     assert "every error is 0" in exact[1].caption and "2.00 mm" in moved[1].caption
     assert "car, road" in exact[0].caption
     assert len(scan_pictures("00/0", points, np.zeros(2, np.float32), None)) == 2
+
+
+def test_points_without_a_class_can_be_seen() -> None:
+    points = np.array([[5, 0, 0], [6, 1, 0]], np.float32)
+    picture = scan_pictures("00/0", points, np.zeros(2, np.float32), np.array([0, 1], np.uint8))[0]
+    assert "other (grey), car" in picture.caption
+    data = base64.b64decode(picture.uri.partition(",")[2])
+    image = (255 * imread(io.BytesIO(data))[:, :, :3]).round().astype(np.uint8)
+    assert len(where(image, (122, 128, 140))) == 3
 
 
 def test_nothing_to_draw_is_no_picture() -> None:
