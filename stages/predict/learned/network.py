@@ -123,7 +123,7 @@ def _activate(acc: F32, n: int, scale: np.float32, h: F32) -> None:
         h[j] = min(max(np.floor(acc[j] * inverse + half), zero), limit)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def forward(
     x: F32,
     laser: int,
