@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.ingest.calibrate import fit_sensor, share_exact
+from salpcc.stages.ingest.motion_search import is_raw, solve_motion
 from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sources.velodyne_bin import read_points
-from salpcc.stages.ingest.untwist import is_raw, solve_motion, untwist
+from salpcc.stages.ingest.untwist import untwist
 
 
 @dataclass(frozen=True)

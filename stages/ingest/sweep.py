@@ -17,11 +17,12 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.lattice import unproject
 from salpcc.stages.ingest.measure import measure
+from salpcc.stages.ingest.motion_search import is_raw, solve_motion
 from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
 from salpcc.stages.ingest.publish import compensated_points, published_points
 from salpcc.stages.ingest.rings import assign_lasers
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.untwist import is_raw, solve_motion, twist, untwist, within_reach
+from salpcc.stages.ingest.untwist import twist, untwist, within_reach
 
 # A lattice that explains fewer points than this is not the scan's lattice, and strays cost less.
 _MIN_SHARE = 0.2
