@@ -85,7 +85,7 @@ def bytes_table(report: Report) -> Table:
     shares = [Column(f"share_{stream}", f"{stream}, %", ".1f") for stream in STREAMS]
     columns = (Column("sequence", "sequence"), *streams, *shares)
     note = (
-        "Side holds motion, checksums, exceptions' bookkeeping, and the framing and attachments of the file."
+        "Side holds checksums, and the framing and attachments of the file."
     )
     return Table("bytes", "Bytes of each stream", columns, _rows(report), note, last_is_total=True)
 
