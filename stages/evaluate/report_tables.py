@@ -84,9 +84,7 @@ def bytes_table(report: Report) -> Table:
     streams = [Column(f"bytes_{stream}", stream, ",") for stream in (*STREAMS, "total")]
     shares = [Column(f"share_{stream}", f"{stream}, %", ".1f") for stream in STREAMS]
     columns = (Column("sequence", "sequence"), *streams, *shares)
-    note = (
-        "Side holds checksums, and the framing and attachments of the file."
-    )
+    note = "Side holds checksums, and the framing and attachments of the file."
     return Table("bytes", "Bytes of each stream", columns, _rows(report), note, last_is_total=True)
 
 
