@@ -45,11 +45,6 @@ class RunConfig(BaseModel):
         return self
 
     @property
-    def bit_exact(self) -> bool:
-        """True where every kept float32 comes back bit for bit."""
-        return self.max_error is None
-
-    @property
     def coding(self) -> dict[str, object]:
         """The fields that decide archive bytes, by name; stored in every archive."""
         skip = {"source", "frames", "baselines", "device", "sensor"}

@@ -7,8 +7,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.lattice import correction_code, laser_constants, model_point, project_point
+from salpcc.stages.ingest.order import azimuth_key
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.trig import TWO_PI, arctan2, turn_tables
+from salpcc.stages.ingest.trig import turn_tables
 
 MAX_COUNT = (1 << 20) - 1
 
@@ -53,8 +54,7 @@ def _measure(  # type: ignore[no-untyped-def]
             _ordered(np.int64(points[i, 1])) - _ordered(np.int64(published[i, 1])),
             _ordered(np.int64(points[i, 2])) - _ordered(np.int64(published[i, 2])),
         )
-        angle = arctan2(y, x)
-        key[i] = angle + TWO_PI if angle < 0.0 else angle
+        key[i] = azimuth_key(x, y)
     return tick, count, millimetre, ulp, key
 
 

@@ -18,12 +18,18 @@ from salpcc.stages.ingest.trig import TWO_PI, arctan2
 
 
 @njit(cache=True)
+def azimuth_key(x: float, y: float) -> float:
+    """Return the azimuth in [0, 2 pi] of a point, the same on every machine."""
+    angle = arctan2(y, x)
+    return angle + TWO_PI if angle < 0.0 else angle
+
+
+@njit(cache=True)
 def azimuth_keys(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the azimuth in [0, 2 pi] of points ``(M, 3)``, the same on every machine."""
+    """Return :func:`azimuth_key` of points ``(M, 3)``."""
     keys = np.empty(len(points))
     for i in range(len(points)):
-        angle = arctan2(points[i, 1], points[i, 0])
-        keys[i] = angle + TWO_PI if angle < 0.0 else angle
+        keys[i] = azimuth_key(points[i, 0], points[i, 1])
     return keys
 
 
