@@ -76,19 +76,30 @@ def encode_interval(
 
 
 @njit(cache=True)
+def _weight(model: NDArray[np.uint16], context: int) -> int:
+    """Sum of the two estimates of a context."""
+    return np.int64(model[context, 0]) + np.int64(model[context, 1])
+
+
+@njit(cache=True)
+def _adapt(model: NDArray[np.uint16], context: int, goal: int) -> None:
+    """Move the two estimates of a context towards ``goal``, 0 or 65535."""
+    fast = np.int64(model[context, 0])
+    slow = np.int64(model[context, 1])
+    model[context, 0] = fast + ((goal - fast) >> _FAST)
+    model[context, 1] = slow + ((goal - slow) >> _SLOW)
+
+
+@njit(cache=True)
 def encode_bit(
     state: NDArray[np.int64], out: NDArray[np.uint8], model: NDArray[np.uint16], context: int, bit: int
 ) -> None:
     """Encode one bit in a context of ``model`` and adapt the context."""
-    fast = np.int64(model[context, 0])
-    slow = np.int64(model[context, 1])
-    zero = min(max((fast + slow) >> 1, 32), 65504)
+    zero = min(max(_weight(model, context) >> 1, 32), 65504)
     width = state[1]
     bound = (width >> 16) * zero
     one = -np.int64(bit)
-    goal = 65535 & ~one
-    model[context, 0] = fast + ((goal - fast) >> _FAST)
-    model[context, 1] = slow + ((goal - slow) >> _SLOW)
+    _adapt(model, context, 65535 & ~one)
     _renormalise_encoder(state[0] + (bound & one), bound + ((width - bound - bound) & one), state, out)
 
 
@@ -103,19 +114,13 @@ def encode_mixed_bit(
     bit: int,
 ) -> None:
     """Encode one bit by the mean of two contexts, ``first[i]`` and ``second[j]``, and adapt both."""
-    a = np.int64(first[i, 0])
-    b = np.int64(first[i, 1])
-    c = np.int64(second[j, 0])
-    d = np.int64(second[j, 1])
-    zero = min(max((a + b + c + d) >> 2, 32), 65504)
+    zero = min(max((_weight(first, i) + _weight(second, j)) >> 2, 32), 65504)
     width = state[1]
     bound = (width >> 16) * zero
     one = -np.int64(bit)
     goal = 65535 & ~one
-    first[i, 0] = a + ((goal - a) >> _FAST)
-    first[i, 1] = b + ((goal - b) >> _SLOW)
-    second[j, 0] = c + ((goal - c) >> _FAST)
-    second[j, 1] = d + ((goal - d) >> _SLOW)
+    _adapt(first, i, goal)
+    _adapt(second, j, goal)
     _renormalise_encoder(state[0] + (bound & one), bound + ((width - bound - bound) & one), state, out)
 
 
@@ -181,17 +186,13 @@ def decode_bit(
     state: NDArray[np.int64], data: NDArray[np.uint8], model: NDArray[np.uint16], context: int
 ) -> int:
     """Decode one bit; inverse of :func:`encode_bit`."""
-    fast = np.int64(model[context, 0])
-    slow = np.int64(model[context, 1])
-    zero = min(max((fast + slow) >> 1, 32), 65504)
+    zero = min(max(_weight(model, context) >> 1, 32), 65504)
     code = state[0]
     width = state[1]
     bound = (width >> 16) * zero
     bit = np.int64(code >= bound)
     one = -bit
-    goal = 65535 & ~one
-    model[context, 0] = fast + ((goal - fast) >> _FAST)
-    model[context, 1] = slow + ((goal - slow) >> _SLOW)
+    _adapt(model, context, 65535 & ~one)
     _renormalise_decoder(code - (bound & one), bound + ((width - bound - bound) & one), state, data)
     return bit
 
@@ -206,20 +207,14 @@ def decode_mixed_bit(
     j: int,
 ) -> int:
     """Decode one bit; inverse of :func:`encode_mixed_bit`."""
-    a = np.int64(first[i, 0])
-    b = np.int64(first[i, 1])
-    c = np.int64(second[j, 0])
-    d = np.int64(second[j, 1])
-    zero = min(max((a + b + c + d) >> 2, 32), 65504)
+    zero = min(max((_weight(first, i) + _weight(second, j)) >> 2, 32), 65504)
     code = state[0]
     width = state[1]
     bound = (width >> 16) * zero
     bit = np.int64(code >= bound)
     one = -bit
     goal = 65535 & ~one
-    first[i, 0] = a + ((goal - a) >> _FAST)
-    first[i, 1] = b + ((goal - b) >> _SLOW)
-    second[j, 0] = c + ((goal - c) >> _FAST)
-    second[j, 1] = d + ((goal - d) >> _SLOW)
+    _adapt(first, i, goal)
+    _adapt(second, j, goal)
     _renormalise_decoder(code - (bound & one), bound + ((width - bound - bound) & one), state, data)
     return bit
