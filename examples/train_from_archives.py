@@ -1,6 +1,5 @@
 """Train straight from archives: a PyTorch DataLoader over ``salpcc.pipeline.Archive``.
 
-    pip install torch
     python examples/train_from_archives.py out/demo/archives/*.mcap
 
 A scan is coded within its group of pictures (8 scans by default), so shuffling single scans would decode up to

@@ -6,7 +6,7 @@ import sys
 
 import typer
 
-from salpcc.pipeline import cli_archive, cli_data, cli_run
+from salpcc.pipeline import cli_archive, cli_data, cli_run, cli_train
 from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import SalpccError, UsageError
@@ -21,6 +21,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(cli_run.app, name="run")
+app.add_typer(cli_train.app, name="train")
 cli_archive.register(app)
 cli_data.register(app)
 

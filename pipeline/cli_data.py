@@ -1,4 +1,4 @@
-"""``simulate``, ``calibrate``, ``report``, ``train``: data in, models, and reports again."""
+"""``simulate``, ``calibrate``, ``report``: data in, sensor models, and reports again."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from salpcc.pipeline.progress import STDERR
-from salpcc.schemas.config import Effort
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.manifest import expand_sequences
@@ -23,7 +22,6 @@ def register(app: typer.Typer) -> None:
         epilog="Example:  `salpcc-pipeline calibrate DIR/2011_09_26_drive_0005_sync --out sensor.json`"
     )(calibrate)
     app.command(epilog="Example:  `salpcc-pipeline report out`")(report)
-    app.command(epilog="Example:  `salpcc-pipeline train coder --data DIR --out weights`")(train)
 
 
 def simulate(
@@ -69,31 +67,3 @@ def report(out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folde
         raise UsageError(f"{out}: no report there; name the --out of a run")
     build(out)
     typer.echo(f"report: {out / 'report' / 'index.html'}")
-
-
-def train(
-    what: Annotated[str, typer.Argument(metavar="segment|predict|coder", help="Which network")],
-    data: Annotated[
-        Path, typer.Option(help="Root of recorded scans, in any layout that run sequences reads")
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for the weights")] = Path("weights"),
-    effort: Annotated[
-        Effort, typer.Option(help="Which effort the weights are for; fast has none")
-    ] = "default",
-    sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
-) -> None:
-    """Train the coder's networks (range and intensity) on recorded scans. Needs the train extra (torch)."""
-    from salpcc.stages.ingest.sensor_model import load_sensor
-    from salpcc.stages.predict.learned.train import RECIPES, read_sweeps, train_coder
-
-    if what in ("segment", "predict"):
-        raise UsageError(f"train {what} is not in this version yet; `train coder` is")
-    if what != "coder":
-        raise UsageError(f"train {what}: choose from segment, predict, coder")
-    if effort not in RECIPES:
-        raise UsageError(f"--effort {effort}: choose from {', '.join(RECIPES)}")
-    if not data.is_dir():
-        raise UsageError(f"--data {data}: not found; a root of recorded scans is wanted")
-    model = load_sensor(sensor)
-    for path in train_coder(read_sweeps(data, model), model, out, effort, log=STDERR.print):
-        typer.echo(f"weights: {path}")

@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 HEAD = """\
-# What `make` installs, pinned: the product, its baselines, its tools. Made by `make lock`; pip only.
-# Training is pinned apart, in requirements-train.lock: torch is large and only training needs it."""
+# What `make` installs, pinned: the product, its baselines, its tools. Made by `make lock`; pip only."""
 # Packages that are not for every platform or Python.
 MARKERS = {
     "open3d-cpu": 'sys_platform == "linux" and platform_machine == "x86_64"',
@@ -23,6 +22,7 @@ def main(environment: Path) -> None:
     frozen = subprocess.run(pip, capture_output=True, text=True, check=True).stdout.split("\n")
     lines = []
     for line in filter(None, frozen):
+        line = line.split("+")[0]  # torch's build for this machine; the pin takes any
         marker = MARKERS.get(line.split("==")[0])
         lines.append(f"{line} ; {marker}" if marker else line)
     print(HEAD, *sorted([*lines, EXTRA], key=str.lower), sep="\n")

@@ -4,8 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -23,7 +21,6 @@ def test_encode_arrays() -> None:
 
 
 def test_train_from_archives(tmp_path: Path, toy_root: Path) -> None:
-    pytest.importorskip("torch")
     from salpcc.pipeline import encode_scans
     from salpcc.stages.ingest.sources import SOURCES
 

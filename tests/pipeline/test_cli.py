@@ -99,8 +99,6 @@ def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_
         (["run", "sequences", "04", "--root", ".", "--manifest", "no.yaml"], ["no.yaml"]),
         (["run", "log", "x.bag", "--topic", "/points"], ["not in this version"]),
         (["map", "a.mcap", "--out", "m"], ["not in this version"]),
-        (["train", "segment", "--data", "."], ["not in this version", "train coder"]),
-        (["train", "dog", "--data", "."], ["choose from segment, predict, coder"]),
         (["train", "coder", "--data", "nowhere"], ["nowhere: not found"]),
         (["train", "coder", "--data", ".", "--effort", "fast"], ["--effort fast", "default"]),
         (["report", "nowhere"], ["no report there"]),
@@ -133,7 +131,7 @@ def test_what_is_no_archive_is_one_line_and_exit_code_1(tmp_path: Path, content:
         ["calibrate"],
         ["simulate"],
         ["report"],
-        ["train"],
+        ["train", "coder"],
     ],
 )
 def test_every_command_has_help_and_an_example(command: list[str]) -> None:

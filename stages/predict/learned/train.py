@@ -124,10 +124,8 @@ def train_coder(
     log: Log = print,
 ) -> tuple[Path, Path]:
     """Train both networks of an effort level and write ``range_EFFORT.npz`` and ``intensity_EFFORT.npz``."""
-    try:
-        from salpcc.stages.predict.learned.torch_models import fit
-    except ImportError:
-        raise UsageError("training needs torch: pip install 'salpcc-pipeline[train]'") from None
+    from salpcc.stages.predict.learned.torch_models import fit  # here: coding never imports torch
+
     recipe = recipe or RECIPES[effort]
     ranges, values = collect(sweeps, sensor, recipe)
     out.mkdir(parents=True, exist_ok=True)

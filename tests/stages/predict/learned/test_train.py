@@ -29,7 +29,6 @@ def coded(path: Path, returns: Returns, sensor: SensorModel) -> int:
 def test_more_training_makes_fewer_bytes(
     make_scan: Callable[..., Scan], returns: Returns, sensor: SensorModel, tmp_path: Path
 ) -> None:
-    pytest.importorskip("torch", reason="training needs the 'train' extra")
     sweeps = [scan_to_sweep(make_scan(seed=9, stride=8, motion=None), sensor)]
     sizes = []
     for steps in (2, 150):
@@ -44,6 +43,5 @@ def test_more_training_makes_fewer_bytes(
 
 
 def test_no_sweeps_is_an_error(sensor: SensorModel, tmp_path: Path) -> None:
-    pytest.importorskip("torch", reason="training needs the 'train' extra")
     with pytest.raises(UsageError, match="no sweeps"):
         train_coder([], sensor, tmp_path)
