@@ -1,4 +1,4 @@
-"""Keep what a run measured under ``OUT/report/``: the inputs of the report, as Parquet and JSON."""
+"""Keep what was measured under ``OUT/report/``: the inputs of the report, as Parquet and JSON."""
 
 from __future__ import annotations
 
@@ -12,20 +12,28 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from salpcc.schemas.errors import ShardError
-from salpcc.stages.evaluate.schema import BASELINES, FAILURES, METRICS, TIMES, VERSION
+from salpcc.stages.evaluate import schema
+from salpcc.stages.evaluate.schema import VERSION
 
 SCHEMAS: Mapping[str, pa.Schema] = {
-    "metrics": METRICS,
-    "times": TIMES,
-    "failures": FAILURES,
-    "baselines": BASELINES,
+    "metrics": schema.METRICS,
+    "times": schema.TIMES,
+    "failures": schema.FAILURES,
+    "baselines": schema.BASELINES,
+    "registration": schema.REGISTRATION,
+    "map_quality": schema.MAP_QUALITY,
+    "coders": schema.CODERS,
+    "ablations": schema.ABLATIONS,
+    "pictures": schema.PICTURES,
 }
 RUN = "run.json"
 _VERSION_KEY = b"salpcc.evaluate.version"
 
 
 def record(out: Path, run: Mapping[str, Any] | None = None, **tables: pa.Table) -> None:
-    """Write tables by name (``metrics=``, ``times=``, ``failures=``, ``baselines=``) and the run's description.
+    """Write tables by the names of :data:`SCHEMAS` (``metrics=``, ``registration=``, …) and a run's description.
+
+    A table replaces the one that is there; columns that it lacks are null.
 
     ``run`` is any JSON object; the report shows ``command``, ``config``, ``config_digest``, ``tool_version``,
     ``started``, ``finished`` (ISO 8601), ``notes`` (list of lines), ``source`` (where the scans came from) and
@@ -34,9 +42,9 @@ def record(out: Path, run: Mapping[str, Any] | None = None, **tables: pa.Table) 
     folder = out / "report"
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
-        schema = SCHEMAS[name].with_metadata({_VERSION_KEY: str(VERSION).encode()})
+        stamped = SCHEMAS[name].with_metadata({_VERSION_KEY: str(VERSION).encode()})
         with _replacing(folder / f"{name}.parquet") as part:
-            pq.write_table(table.select(schema.names).cast(schema), part, compression="zstd")
+            pq.write_table(_complete(table, SCHEMAS[name]).cast(stamped), part, compression="zstd")
     if run is not None:
         with _replacing(folder / RUN) as part:
             part.write_text(json.dumps(run, indent=1, sort_keys=True) + "\n")
@@ -60,10 +68,15 @@ def recorded(out: Path, name: str) -> pa.Table:
         raise ShardError(
             f"{path}: written by version {version}, this tool reads up to {VERSION}; update the tool"
         )
-    for field in SCHEMAS[name]:
-        if field.name not in table.column_names:  # of an older version
+    return _complete(table, SCHEMAS[name])
+
+
+def _complete(table: pa.Table, wanted: pa.Schema) -> pa.Table:
+    """Return the wanted columns; those that the table lacks (one of an older version, say) are null."""
+    for field in wanted:
+        if field.name not in table.column_names:
             table = table.append_column(field, pa.nulls(table.num_rows, field.type))
-    return table
+    return table.select(wanted.names)
 
 
 def recorded_run(out: Path) -> dict[str, Any]:

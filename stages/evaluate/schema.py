@@ -1,4 +1,4 @@
-"""Arrow schemas of what evaluation hands on: one row per scan, per stage and GOP, per failure, per baseline.
+"""Arrow schemas of what the report is made of: what runs measure, and what other commands add to it.
 
 ``stage.run`` gives METRICS rows; ``pipeline`` gathers them, with TIMES and FAILURES, through
 :func:`salpcc.stages.evaluate.record.record` under ``OUT/report/``; ``report.build`` reads only that folder (and
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-VERSION = 2
+VERSION = 3
 
 # One row per scan, measured on what was decoded from the archive. A null in a measured column means that
 # there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
@@ -89,5 +89,74 @@ BASELINES = pa.schema(
         ("encode_ms", pa.float64()),
         ("decode_ms", pa.float64()),
         ("memory_mb", pa.float64()),  # resident, at most, above what was held before; null where unknown
+    ]
+)
+
+# Table V: one row per pair of scans, cloud and method. Errors by eqs. (26) and (27), d_res = 1.
+REGISTRATION = pa.schema(
+    [
+        ("sequence", pa.string()),
+        ("source", pa.string()),  # scan names
+        ("target", pa.string()),
+        ("cloud", pa.string()),  # "source", or the codec that decoded it: "sensor", "paper", "draco", …
+        ("max_error", pa.float64()),  # metres asked, 0 for bit-exact; null for source
+        ("movable", pa.bool_()),  # whether movable points are in the cloud
+        ("method", pa.string()),  # "point to point", "point to plane"
+        ("rotation_deg", pa.float64()),
+        ("translation_m", pa.float64()),
+        ("bpp", pa.float64()),  # total; null for source
+    ]
+)
+
+# One row per map and kind of truth. Accuracies and rates are parts of 1.
+MAP_QUALITY = pa.schema(
+    [
+        ("sequence", pa.string()),
+        ("scans", pa.int64()),
+        ("cleaner", pa.string()),  # "none" is plain accumulation
+        ("cloud", pa.string()),  # "source" or "decoded"
+        ("truth", pa.string()),  # "moving" or "movable" (parked ones too)
+        *((name, pa.float64()) for name in ("sa", "da", "aa", "pr", "rr", "f1")),
+        ("points", pa.int64()),
+        ("seconds", pa.float64()),
+    ]
+)
+
+# Fig. 8: one row per sequence, lossless coder and input.
+CODERS = pa.schema(
+    [
+        ("sequence", pa.string()),
+        ("coder", pa.string()),
+        ("settings", pa.string()),  # level, variant
+        ("input", pa.string()),  # "residual", or "raw": the scans as they are
+        ("max_error", pa.float64()),  # metres, of the residual
+        ("points", pa.int64()),  # input points of the scans
+        ("bytes_in", pa.int64()),
+        ("bytes_out", pa.int64()),
+        ("encode_ms", pa.float64()),  # CPU, sum over the scans
+        ("decode_ms", pa.float64()),
+        ("status", pa.string()),  # "ok" or "not run: …"
+    ]
+)
+
+# What leaving something out costs: every study is a table of its variants (rows) and measures (columns).
+ABLATIONS = pa.schema(
+    [
+        ("study", pa.string()),  # title of the table
+        ("sequence", pa.string()),
+        ("variant", pa.string()),
+        ("measure", pa.string()),  # heading of the column, with its unit
+        ("value", pa.float64()),
+    ]
+)
+
+# Pictures that other commands draw, such as those of a map (Fig. 10).
+PICTURES = pa.schema(
+    [
+        ("figure", pa.string()),  # "fig7", "fig10"
+        ("group", pa.string()),  # what is shown together: a sequence
+        ("title", pa.string()),
+        ("caption", pa.string()),
+        ("png", pa.binary()),
     ]
 )
