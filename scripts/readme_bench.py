@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from salpcc.stages.evaluate.tables import Column, Table
+from salpcc.stages.evaluate.layout.tables import Column, Table
 
 BLOCK = re.compile(r"(<!-- bench:begin -->\n).*?(<!-- bench:end -->)", re.DOTALL)
 COLUMNS = (

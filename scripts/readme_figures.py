@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from salpcc.stages.evaluate.report_tables import all_tables, summary_table
+from salpcc.stages.evaluate.layout.report_tables import all_tables, summary_table
 
 BLOCK = re.compile(r"(<!-- figures:begin (\w+) -->\n).*?(<!-- figures:end -->)", re.DOTALL)
 

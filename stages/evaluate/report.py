@@ -18,14 +18,14 @@ import pyarrow.parquet as pq
 
 from salpcc.stages.evaluate.aggregate import STREAMS, figures, total
 from salpcc.stages.evaluate.baseline_figures import baseline_figures, bd_rates
-from salpcc.stages.evaluate.comparison_plots import sequence_plots
+from salpcc.stages.evaluate.layout.comparison_plots import sequence_plots
+from salpcc.stages.evaluate.layout.page import render_page
+from salpcc.stages.evaluate.layout.pictures import Picture, scan_pictures
+from salpcc.stages.evaluate.layout.plots import all_plots
+from salpcc.stages.evaluate.layout.report_tables import all_tables
+from salpcc.stages.evaluate.layout.tables import to_document
 from salpcc.stages.evaluate.machine import describe_machine
-from salpcc.stages.evaluate.page import render_page
-from salpcc.stages.evaluate.pictures import Picture, scan_pictures
-from salpcc.stages.evaluate.plots import all_plots
 from salpcc.stages.evaluate.record import recorded, recorded_run
-from salpcc.stages.evaluate.report_tables import all_tables
-from salpcc.stages.evaluate.tables import to_document
 
 REPORT_VERSION = 1
 _PICTURED = 4  # sequences; more would only make the page heavy

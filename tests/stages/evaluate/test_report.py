@@ -19,7 +19,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate import report, stage
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.measure import measure
-from salpcc.stages.evaluate.comparison_plots import _front
+from salpcc.stages.evaluate.layout.comparison_plots import _front
 from salpcc.stages.evaluate.record import record, recorded
 from salpcc.stages.evaluate.schema import BASELINES as BASELINES_SCHEMA
 from salpcc.stages.evaluate.schema import FAILURES, TIMES

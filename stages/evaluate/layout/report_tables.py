@@ -7,9 +7,9 @@ from typing import Any
 
 from salpcc.schemas.labels import CLASSES, GROUPS
 from salpcc.stages.evaluate.aggregate import ENCODE_STAGES, STREAMS
-from salpcc.stages.evaluate.comparison_tables import baseline_table, bd_rate_table, published_table
-from salpcc.stages.evaluate.figure_rows import flat_row
-from salpcc.stages.evaluate.tables import Column, Table
+from salpcc.stages.evaluate.layout.comparison_tables import baseline_table, bd_rate_table, published_table
+from salpcc.stages.evaluate.layout.figure_rows import flat_row
+from salpcc.stages.evaluate.layout.tables import Column, Table
 
 Report = Mapping[str, Any]
 TOTAL = "all"

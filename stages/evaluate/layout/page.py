@@ -8,9 +8,9 @@ from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
-from salpcc.stages.evaluate.drawing import Plot
-from salpcc.stages.evaluate.pictures import Picture
-from salpcc.stages.evaluate.tables import Table
+from salpcc.stages.evaluate.layout.drawing import Plot
+from salpcc.stages.evaluate.layout.pictures import Picture
+from salpcc.stages.evaluate.layout.tables import Table
 
 
 def render_page(

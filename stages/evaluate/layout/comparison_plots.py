@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from salpcc.stages.evaluate.baseline_figures import OURS
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.drawing import ACCENT, COLOURS, Plot, drawing, legend
+from salpcc.stages.evaluate.layout.drawing import ACCENT, COLOURS, Plot, drawing, legend
 
 _EQUAL_ERROR = 0.01  # metres; the error at which times are compared
 _MARKERS = "osD^vP*X"

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from salpcc.stages.evaluate.aggregate import ENCODE_STAGES, STREAMS
-from salpcc.stages.evaluate.comparison_plots import comparison_plots
-from salpcc.stages.evaluate.drawing import COLOURS, Plot, drawing, legend
+from salpcc.stages.evaluate.layout.comparison_plots import comparison_plots
+from salpcc.stages.evaluate.layout.drawing import COLOURS, Plot, drawing, legend
 
 Report = Mapping[str, Any]
 

@@ -1,0 +1,1 @@
+"""Layout: figures become tables, plots, pictures and a page."""
