@@ -1,0 +1,7 @@
+"""The paper's prediction network (section V-B): the next range image from the decoded ones before it."""
+
+from __future__ import annotations
+
+from salpcc.stages.predict.st_lstm.predictor import Memory, Prediction, predict_frame
+
+__all__ = ["Memory", "Prediction", "predict_frame"]
