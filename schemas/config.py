@@ -11,6 +11,10 @@ from salpcc.schemas.work import digest_of
 Profile = Literal["sensor", "paper"]
 Labels = Literal["network", "given"]
 Effort = Literal["fast", "default", "max"]
+Coder = Literal[
+    "ppmd", "zstd", "lz4", "bzip2", "brotli", "lzma2", "lizard", "lz5", "deflate64", "context"
+]  # fmt: skip
+GRID_ACCURACY = 0.001  # metres, where a run of the paper profile asks for none
 UNBOUNDED = 2**31  # as the end of `frames`
 
 
@@ -25,10 +29,16 @@ class RunConfig(BaseModel):
 
     source: str = "semantickitti"
     profile: Profile = "sensor"
-    max_error: float | None = Field(None, gt=0, le=10, description="metres, 3-D; None is bit-exact")
+    max_error: float | None = Field(
+        None,
+        gt=0,
+        le=10,
+        description="metres, 3-D; None is bit-exact. Profile paper: the quantisation step of ranges; None is 1 mm",
+    )
     keep_movable: bool = False
     labels: Labels = "network"
     effort: Effort = "default"
+    coder: Coder = Field("ppmd", description="of the residuals, profile paper")
     gop: int = Field(8, ge=1, le=256, description="scans per group of pictures")
     sensor: str = Field("hdl64e", description="name of a shipped sensor model, or a JSON file")
     sensor_digest: str = Field(
@@ -45,9 +55,15 @@ class RunConfig(BaseModel):
         return self
 
     @property
+    def accuracy(self) -> float:
+        """Metres per level of the paper profile's grid."""
+        return self.max_error or GRID_ACCURACY
+
+    @property
     def coding(self) -> dict[str, object]:
         """The fields that decide archive bytes, by name; stored in every archive."""
         skip = {"source", "frames", "baselines", "device", "sensor"}
+        skip |= {"effort"} if self.profile == "paper" else {"coder"}
         return {k: v for k, v in self.model_dump(mode="json").items() if k not in skip}
 
     @property
