@@ -22,7 +22,8 @@ SHARD_VERSION = "1.0"
 _META_KEY = b"salpcc"
 
 
-def _list(kind: pa.DataType) -> pa.DataType:
+def list_of(kind: pa.DataType) -> pa.DataType:
+    """List type without nulls inside."""
     return pa.list_(pa.field("item", kind, nullable=False))
 
 
@@ -31,19 +32,19 @@ _SWEEP_FIELDS = [
     pa.field("time", pa.int64(), nullable=False),
     pa.field("frame_id", pa.string(), nullable=False),
     pa.field("n_points", pa.int64(), nullable=False),
-    pa.field("motion", _list(pa.float64())),
+    pa.field("motion", list_of(pa.float64())),
     pa.field("step", pa.int32(), nullable=False),
     pa.field("max_error", pa.float64(), nullable=False),
-    pa.field("laser", _list(pa.uint8()), nullable=False),
-    pa.field("tick", _list(pa.int32()), nullable=False),
-    pa.field("count", _list(pa.int32()), nullable=False),
-    pa.field("intensity", _list(pa.float32()), nullable=False),
-    pa.field("millimetre", _list(pa.uint8()), nullable=False),
-    pa.field("ulp", _list(pa.uint8()), nullable=False),
-    pa.field("classes", _list(pa.uint8())),
-    pa.field("stray_index", _list(pa.int64()), nullable=False),
-    pa.field("stray_points", _list(pa.float32()), nullable=False),
-    pa.field("stray_classes", _list(pa.uint8())),
+    pa.field("laser", list_of(pa.uint8()), nullable=False),
+    pa.field("tick", list_of(pa.int32()), nullable=False),
+    pa.field("count", list_of(pa.int32()), nullable=False),
+    pa.field("intensity", list_of(pa.float32()), nullable=False),
+    pa.field("millimetre", list_of(pa.uint8()), nullable=False),
+    pa.field("ulp", list_of(pa.uint8()), nullable=False),
+    pa.field("classes", list_of(pa.uint8())),
+    pa.field("stray_index", list_of(pa.int64()), nullable=False),
+    pa.field("stray_points", list_of(pa.float32()), nullable=False),
+    pa.field("stray_classes", list_of(pa.uint8())),
 ]
 _SCALARS = ("name", "time", "frame_id", "n_points", "step", "max_error")
 _ARRAYS = {f.name: f.type for f in _SWEEP_FIELDS if f.name not in _SCALARS}
@@ -62,10 +63,10 @@ PREDICTION = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
         pa.field("effort", pa.string(), nullable=False),
-        pa.field("level", _list(pa.int32())),
-        pa.field("spread", _list(pa.uint8())),
-        pa.field("range_interval", _list(pa.uint32())),
-        pa.field("intensity_interval", _list(pa.uint32())),
+        pa.field("level", list_of(pa.int32())),
+        pa.field("spread", list_of(pa.uint8())),
+        pa.field("range_interval", list_of(pa.uint32())),
+        pa.field("intensity_interval", list_of(pa.uint32())),
     ]
 )
 PAYLOAD = pa.schema(
@@ -106,7 +107,7 @@ def sweeps_to_table(sweeps: Iterable[Sweep], dropped_movable: Iterable[int] | No
     columns: list[pa.Array] = []
     for field in _SWEEP_FIELDS:
         values = [getattr(sweep, field.name) for sweep in rows]
-        array = _column(values, field.type) if field.name in _ARRAYS else pa.array(values, field.type)
+        array = list_column(values, field.type) if field.name in _ARRAYS else pa.array(values, field.type)
         columns.append(array)
     if dropped_movable is None:
         return pa.Table.from_arrays(columns, schema=SWEEP)
@@ -126,7 +127,7 @@ def predictions_to_table(names: Iterable[str], predictions: Iterable[Prediction]
     rows = list(predictions)
     columns = [pa.array(list(names), pa.string()), pa.array([row.effort for row in rows], pa.string())]
     for name in _PREDICTED:
-        columns.append(_column([getattr(row, name) for row in rows], PREDICTION.field(name).type))
+        columns.append(list_column([getattr(row, name) for row in rows], PREDICTION.field(name).type))
     return pa.Table.from_arrays(columns, schema=PREDICTION)
 
 
@@ -142,7 +143,7 @@ def table_to_predictions(table: pa.Table) -> list[Prediction]:
     return predictions
 
 
-def _column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
+def list_column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
     """Build a list column from arrays without going through Python objects (NaN bits are kept)."""
     flat = [np.empty(0) if v is None else np.ascontiguousarray(v).ravel() for v in values]
     dtype = kind.value_type.to_pandas_dtype()
