@@ -51,7 +51,7 @@ def payloads_of(table: pa.Table) -> list[ScanPayload]:
     counts = list(ScanEntry.__dataclass_fields__)
     return [
         ScanPayload(ScanEntry(**{k: row[k] for k in counts}), row["time"], row["frame_id"], row["data"])
-        for row in table.to_pylist()
+        for row in table.drop_columns("dropped_classes").to_pylist()
     ]
 
 

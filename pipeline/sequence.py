@@ -21,9 +21,9 @@ from salpcc.pipeline.tasks import VERSIONS, GopResult, file_digest, lost
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import atomic
-from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.work import GopSource, ScanRef, digest_of
+from salpcc.schemas.shards import list_array
+from salpcc.schemas.work import GopSource, ScanRef, ShardRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
 from salpcc.stages.evaluate.baselines.apart import measure_scans
 from salpcc.stages.ingest.sensor_model import load_sensor
@@ -90,15 +90,26 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
     facts_ = ArchiveFacts(
         plan.sequence, plan.gops[0].source, record["inputs"], config.coding, load_sensor(config.sensor)
     )
-    write_archive(archive_path(out, plan.sequence), facts_, (_payloads(store, result) for result in results))
+    payloads = (
+        _payloads(store, result, _dropped_ref(store, gop, record["inputs"]))
+        for gop, result in zip(plan.gops, results, strict=True)
+    )
+    write_archive(archive_path(out, plan.sequence), facts_, payloads)
     return record
 
 
-def _payloads(store: ShardStore, result: GopResult) -> list[ScanPayload]:
+def _payloads(store: ShardStore, result: GopResult, dropped: ShardRef) -> list[ScanPayload]:
+    """The payloads of a GOP; what it dropped is put aside for the evaluation, as the archive does not hold it."""
     if result.failed:
         return []
     table, _ = store.read(dict(result.shards)["residual_code"])
+    if any(table.column("dropped_movable").to_pylist()):
+        store.write(dropped, table.select(["name", "dropped_classes"]), {"stage": "evaluate"})
     return payloads_of(table)
+
+
+def _dropped_ref(store: ShardStore, gop: GopSource, inputs: str) -> ShardRef:
+    return store.ref(gop.sequence, "dropped", gop.number, inputs)
 
 
 def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo: bool) -> GopResult:
@@ -122,8 +133,6 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
         names = {entry.name for entry in entries}
         refs = [scan for scan in gop.scans if scan.name in names]
         _warm_up(reader, gop.number)
-        classes = _given_classes(gop, refs, config)
-        drops = classes is not None and not config.keep_movable
         table = evaluate.run(
             decode_scans(reader, gop.number),
             _originals(gop, refs),
@@ -131,8 +140,8 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
             sequence=gop.sequence,
             gop=gop.number,
             max_error=config.max_error or 0.0,
-            kept=[GROUP_OF_CLASS[c] != MOVABLE for c in classes or []] if drops else None,
-            predicted=classes,
+            dropped=_dropped(store, gop, inputs),
+            in_order=config.profile == "sensor",
             sample=gop.number == 0,
         )
     except Exception as error:  # noqa: BLE001
@@ -142,15 +151,14 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
     return result
 
 
-def _given_classes(gop: GopSource, refs: list[ScanRef], config: RunConfig) -> list[NDArray[np.uint8]] | None:
-    """Classes of all source points where the run took them from the labels, dropped points included."""
-    if config.labels != "given":
-        return None
-    try:
-        scans = [SOURCES[gop.source].read(ref, with_labels=True) for ref in refs]
-    except SourceError:  # gone since: what was kept is found by matching
-        return None
-    return [scan.classes for scan in scans if scan.classes is not None]
+def _dropped(store: ShardStore, gop: GopSource, inputs: str) -> dict[str, NDArray[np.uint8] | None]:
+    """By scan, the classes of what was dropped; empty where nobody put them aside (another run's archive)."""
+    ref = _dropped_ref(store, gop, inputs)
+    if not store.has(ref):
+        return {}
+    table, _ = store.read(ref)
+    names = table.column("name").to_pylist()
+    return {name: list_array(table, "dropped_classes", row) for row, name in enumerate(names)}
 
 
 def _warm_up(reader: ArchiveReader, gop: int) -> None:

@@ -50,7 +50,10 @@ _SCALARS = ("name", "time", "frame_id", "n_points", "step", "max_error")
 _ARRAYS = {f.name: f.type for f in _SWEEP_FIELDS if f.name not in _SCALARS}
 
 SWEEP = pa.schema(_SWEEP_FIELDS)
-TASK = pa.schema([*_SWEEP_FIELDS, pa.field("dropped_movable", pa.int64(), nullable=False)])
+# The classes of the source points that the task dropped, KEPT where it kept them; for the report only.
+KEPT = 255
+_DROPPED = pa.field("dropped_classes", list_of(pa.uint8()))
+TASK = pa.schema([*_SWEEP_FIELDS, pa.field("dropped_movable", pa.int64(), nullable=False), _DROPPED])
 PLANES = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
@@ -88,6 +91,7 @@ PAYLOAD = pa.schema(
             )
         ),
         pa.field("data", pa.large_binary(), nullable=False),
+        _DROPPED,
     ]
 )
 
@@ -101,17 +105,25 @@ OF_STAGE: Mapping[str, pa.Schema] = {
 }
 
 
-def sweeps_to_table(sweeps: Iterable[Sweep], dropped_movable: Iterable[int] | None = None) -> pa.Table:
-    """Lay sweeps out as a SWEEP table, or as a TASK table where ``dropped_movable`` is given."""
+def sweeps_to_table(
+    sweeps: Iterable[Sweep], dropped: Iterable[NDArray[np.uint8] | None] | None = None
+) -> pa.Table:
+    """Lay sweeps out as a SWEEP table, or as a TASK table where ``dropped`` is given.
+
+    That holds, per sweep, the classes ``(n_points,)`` of what was dropped and KEPT elsewhere, None for nothing.
+    """
     rows = list(sweeps)
     columns: list[pa.Array] = []
     for field in _SWEEP_FIELDS:
         values = [getattr(sweep, field.name) for sweep in rows]
         array = list_column(values, field.type) if field.name in _ARRAYS else pa.array(values, field.type)
         columns.append(array)
-    if dropped_movable is None:
+    if dropped is None:
         return pa.Table.from_arrays(columns, schema=SWEEP)
-    return pa.Table.from_arrays([*columns, pa.array(list(dropped_movable), pa.int64())], schema=TASK)
+    classes = list(dropped)
+    counts = [0 if some is None else np.count_nonzero(some != KEPT) for some in classes]
+    columns += [pa.array(counts, pa.int64()), list_column(classes, _DROPPED.type)]
+    return pa.Table.from_arrays(columns, schema=TASK)
 
 
 def table_to_sweeps(table: pa.Table) -> list[Sweep]:

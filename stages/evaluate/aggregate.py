@@ -8,8 +8,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from salpcc.schemas.labels import CLASSES, GROUPS
-from salpcc.stages.evaluate.confusion import intersection_over_union, mean_iou
+from salpcc.schemas.labels import CLASSES, GROUPS, MOVABLE
+from salpcc.stages.evaluate.confusion import (
+    PAPER_CLASSES,
+    group_confusion,
+    intersection_over_union,
+    mean_iou,
+)
 from salpcc.stages.evaluate.metrics import bits_per_point, compression_rate
 
 ENCODE_STAGES = ("ingest", "segment", "ground_fit", "predict", "residual_code")
@@ -82,17 +87,30 @@ def error_figures(rows: pa.Table) -> dict[str, Any]:
 
 
 def iou_figures(metrics: pa.Table) -> dict[str, Any] | None:
-    """IoU of groups and classes summed over the scans that have labels, or None where none has."""
-    groups = _summed(metrics, "group_confusion", len(GROUPS))
-    if groups is None:
+    """IoU of groups and classes summed over the scans that have labels, or None where none has.
+
+    Terrain belongs to no group of the paper; ``groups`` counts it as other, ``groups_without_terrain`` not at all.
+    """
+    counts = _summed(metrics, "group_counts", (len(CLASSES), len(GROUPS)))
+    if counts is None:
         return None
-    classes = _summed(metrics, "class_confusion", len(CLASSES))
+    groups = group_confusion(counts)
+    hit, truth, said = groups[MOVABLE, MOVABLE], groups[MOVABLE].sum(), groups[:, MOVABLE].sum()
+    classes = _summed(metrics, "class_confusion", (len(CLASSES), len(CLASSES)))
     scores = {} if classes is None else intersection_over_union(classes, [c.name for c in CLASSES])
     scores = {name: score for name, score in scores.items() if name != CLASSES[0].name}
+    of_paper = {name: score for name, score in scores.items() if name in PAPER_CLASSES}
     return {
         "groups": dict(intersection_over_union(groups, GROUPS)),
+        "groups_without_terrain": dict(
+            intersection_over_union(group_confusion(counts, without=("terrain",)), GROUPS)
+        ),
+        "movable_recall": float(hit / truth) if truth else None,
+        "movable_precision": float(hit / said) if said else None,
         "classes": scores,
         "miou": mean_iou(scores),
+        "miou_paper": mean_iou(of_paper),  # over those of its twelve classes that occur
+        "confusion": None if classes is None else classes.tolist(),
     }
 
 
@@ -128,7 +146,9 @@ def median(rows: pa.Table, column: str) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
-def _summed(metrics: pa.Table, column: str, size: int) -> np.ndarray[Any, np.dtype[np.int64]] | None:
-    """Add up the confusion matrices of a column, or None where all are null."""
+def _summed(
+    metrics: pa.Table, column: str, shape: tuple[int, int]
+) -> np.ndarray[Any, np.dtype[np.int64]] | None:
+    """Add up the matrices of a column, or None where all are null."""
     matrices = [np.array(m, np.int64) for m in metrics.column(column).drop_null().to_pylist()]
-    return np.sum(matrices, axis=0).reshape(size, size) if matrices else None
+    return np.sum(matrices, axis=0).reshape(shape) if matrices else None

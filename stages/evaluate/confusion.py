@@ -6,15 +6,17 @@ classes that occur in the truth or in the prediction: with a few scans an absent
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, GROUPS, MOVABLE
+from salpcc.schemas.labels import CLASSES, GROUPS, OTHER
 
 UNLABELLED = 0
 _GROUND_UNSPECIFIED = len(CLASSES) - 1
+# The classes of the paper's Table I: those of its movable and ground groups.
+PAPER_CLASSES = tuple(c.name for c in CLASSES if c.group != OTHER and c.ids)
 
 
 def confusion(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], size: int) -> NDArray[np.int64]:
@@ -23,10 +25,20 @@ def confusion(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], size: int)
     return np.bincount(pairs, minlength=size * size).reshape(size, size)
 
 
-def group_confusion(truth: NDArray[np.uint8], groups: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Count the three groups: ``truth`` ``(N,)`` classes against predicted ``groups`` ``(N,)``."""
+def group_counts(truth: NDArray[np.uint8], groups: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Count ``(21, 3)``: class of the truth ``(N,)`` by row, predicted group ``(N,)`` by column."""
     labelled = truth != UNLABELLED
-    return confusion(GROUP_OF_CLASS[truth[labelled]], groups[labelled], len(GROUPS))
+    pairs = truth[labelled].astype(np.int64) * len(GROUPS) + groups[labelled]
+    return np.bincount(pairs, minlength=len(CLASSES) * len(GROUPS)).reshape(len(CLASSES), len(GROUPS))
+
+
+def group_confusion(counts: NDArray[np.int64], without: Collection[str] = ()) -> NDArray[np.int64]:
+    """Add :func:`group_counts` up to ``(3, 3)``, groups of the truth by row, ``without`` points of some classes."""
+    result = np.zeros((len(GROUPS), len(GROUPS)), np.int64)
+    for row, named in zip(counts, CLASSES, strict=True):
+        if named.name not in without:
+            result[named.group] += row
+    return result
 
 
 def class_confusion(truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> NDArray[np.int64] | None:
@@ -35,13 +47,6 @@ def class_confusion(truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> N
         return None
     labelled = truth != UNLABELLED
     return confusion(truth[labelled], predicted[labelled], len(CLASSES))
-
-
-def predicted_groups(kept: NDArray[np.bool_], decoded_classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Groups ``(N,)`` of all source points: what was dropped was taken for movable."""
-    groups = np.full(len(kept), MOVABLE, np.uint8)
-    groups[kept] = GROUP_OF_CLASS[decoded_classes]
-    return groups
 
 
 def intersection_over_union(counts: NDArray[np.int64], names: Sequence[str]) -> Mapping[str, float]:

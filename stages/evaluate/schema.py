@@ -36,12 +36,19 @@ METRICS = pa.schema(
         ("bit_exact", pa.bool_()),  # x, y, z and intensity, float32 bit for bit
         ("intensity_exact", pa.bool_()),
         ("decode_ms", pa.float64()),  # CPU
-        ("group_confusion", pa.list_(pa.int64())),  # 3 x 3, truth by row, in the order of labels.GROUPS
+        ("in_order", pa.bool_()),  # errors compared in file order; else to the nearest point both ways
+        (
+            "group_counts",
+            pa.list_(pa.int64()),
+        ),  # 21 x 3, class of the truth by row, predicted group by column
         ("class_confusion", pa.list_(pa.int64())),  # 21 x 21, truth by row, in the order of labels.CLASSES
         # A sample for the pictures, in the first scan of a sequence only.
         ("sample_points", pa.list_(pa.float32())),  # decoded x, y, z, flat
         ("sample_error_m", pa.list_(pa.float32())),
         ("sample_classes", pa.list_(pa.uint8())),
+        ("sample_source", pa.list_(pa.float32())),  # of the source, where both classes are known
+        ("sample_truth", pa.list_(pa.uint8())),
+        ("sample_predicted", pa.list_(pa.uint8())),  # dropped points included
     ]
 )
 

@@ -7,22 +7,27 @@ would get. Columns: :data:`salpcc.stages.evaluate.schema.METRICS`.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.schemas.labels import CLASSES
+from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.confusion import class_confusion, group_confusion, predicted_groups
+from salpcc.schemas.shards import KEPT
+from salpcc.stages.evaluate.baselines.nearest import errors_nearest
+from salpcc.stages.evaluate.confusion import class_confusion, group_counts
 from salpcc.stages.evaluate.match import kept_points
 from salpcc.stages.evaluate.metrics import point_errors, same_bits, symmetric_distance
 from salpcc.stages.evaluate.schema import METRICS, VERSION
 
 __all__ = ["VERSION", "run"]
+
+_Dropped = Mapping[str, NDArray[np.uint8] | None]
 
 
 def run(
@@ -33,8 +38,8 @@ def run(
     sequence: str,
     gop: int,
     max_error: float = 0.0,
-    kept: Sequence[NDArray[np.bool_] | None] | None = None,
-    predicted: Sequence[NDArray[np.uint8] | None] | None = None,
+    dropped: _Dropped | None = None,
+    in_order: bool = True,
     sample: bool = False,
 ) -> pa.Table:
     """Measure the scans of one GOP.
@@ -46,9 +51,10 @@ def run(
         payloads: rows of the same scans with columns ``name``, ``n_points``, ``kept``, ``dropped_movable``,
             ``strays``, ``geometry``, ``intensity``, ``classes``, ``side`` (the PAYLOAD table).
         max_error: the asked 3-D bound in metres, 0 for bit-exact.
-        kept: per scan the mask of source points that the task kept, where known; else it is found again.
-        predicted: per scan the segmenter's classes of all source points, where known; without it, class
-            IoU is given only for scans that dropped nothing.
+        dropped: by scan the class ``(N,)`` of each source point that the task dropped, KEPT elsewhere (None: it
+            dropped nothing). Without it, what was kept is found again and taken for movable what was not, and
+            class IoU is given only for scans that dropped nothing.
+        in_order: whether the archive keeps the order of points; else errors are to the nearest point.
         sample: keep the first scan's points, for the pictures of the report.
 
     Raises:
@@ -68,9 +74,11 @@ def run(
         row["points_decoded"] = len(scan)
         source = next(sources, None)
         if source is not None:
-            mask = kept[index] if kept is not None else None
-            classes = predicted[index] if predicted is not None else None
-            row |= _compare(source, scan, max_error, mask, classes, sample and index == 0)
+            known = _known(source, dropped or {})
+            if in_order:
+                row |= _compare(source, scan, max_error, known, sample and index == 0)
+            else:
+                row |= _compare_unordered(source, scan, known, sample and index == 0)
         rows.append(row)
     return pa.Table.from_pylist(rows, schema=METRICS)
 
@@ -101,17 +109,21 @@ def _sizes(payload: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def _known(source: Scan, dropped: _Dropped) -> NDArray[np.uint8] | None:
+    """The classes of what a scan dropped, KEPT where it kept; None where they are not known."""
+    if source.name not in dropped:
+        return None
+    classes = dropped[source.name]
+    return np.full(len(source), KEPT, np.uint8) if classes is None else classes
+
+
 def _compare(
-    source: Scan,
-    decoded: Scan,
-    max_error: float,
-    kept: NDArray[np.bool_] | None,
-    predicted: NDArray[np.uint8] | None,
-    sample: bool,
+    source: Scan, decoded: Scan, max_error: float, dropped: NDArray[np.uint8] | None, sample: bool
 ) -> dict[str, Any]:
-    """Measure one decoded scan against its source."""
+    """Measure one decoded scan against its source, point by point."""
+    kept = None if dropped is None else dropped == KEPT
     if kept is None or kept.sum() != len(decoded):
-        kept = kept_points(source, decoded, max_error)
+        dropped, kept = None, kept_points(source, decoded, max_error)
     if kept is None:  # no in-order correspondence exists: nothing can be claimed but the failure
         return {"points_compared": 0, "max_error_m": np.inf, "bit_exact": False, "intensity_exact": False}
     points, intensity = source.points[kept], source.intensity[kept]
@@ -119,6 +131,7 @@ def _compare(
     exact_points = same_bits(points, decoded.points)
     exact_intensity = same_bits(intensity, decoded.intensity)
     row: dict[str, Any] = {
+        "in_order": True,
         "points_compared": len(decoded),
         "max_error_m": errors.maximum,
         "max_axis_error_m": errors.max_axis,
@@ -127,28 +140,56 @@ def _compare(
         "bit_exact": exact_points and exact_intensity,
         "intensity_exact": exact_intensity,
     }
-    row |= _segmentation(source, decoded, kept, predicted)
     if sample:
-        row["sample_points"] = decoded.points.ravel()
-        row["sample_error_m"] = errors.distance.astype(np.float32)
-        row["sample_classes"] = decoded.classes
+        row |= _sample(decoded, errors.distance)
+    return row | _segmentation(source, decoded, kept, dropped, sample)
+
+
+def _compare_unordered(
+    source: Scan, decoded: Scan, dropped: NDArray[np.uint8] | None, sample: bool
+) -> dict[str, Any]:
+    """Measure one decoded scan of a profile that loses the order, and points, to the nearest point both ways."""
+    points = source.points if dropped is None else source.points[dropped == KEPT]
+    if not len(points) or not len(decoded):
+        return {"in_order": False, "points_compared": 0, "bit_exact": False, "intensity_exact": False}
+    row = errors_nearest(points, decoded.points)
+    row |= {"in_order": False, "points_compared": len(decoded), "bit_exact": False, "intensity_exact": False}
+    if sample:
+        distance, _ = cKDTree(points, balanced_tree=False).query(decoded.points)
+        row |= _sample(decoded, np.asarray(distance))
     return row
 
 
+def _sample(decoded: Scan, distance: NDArray[np.float64]) -> dict[str, Any]:
+    """What the pictures of a decoded scan are drawn from."""
+    return {
+        "sample_points": decoded.points.ravel(),
+        "sample_error_m": distance.astype(np.float32),
+        "sample_classes": decoded.classes,
+    }
+
+
 def _segmentation(
-    source: Scan, decoded: Scan, kept: NDArray[np.bool_], predicted: NDArray[np.uint8] | None
+    source: Scan,
+    decoded: Scan,
+    kept: NDArray[np.bool_],
+    dropped: NDArray[np.uint8] | None,
+    sample: bool,
 ) -> dict[str, Any]:
-    """Count the predicted classes against the given labels, where both exist."""
-    if source.classes is None or (decoded.classes is None and predicted is None):
+    """Count the predicted classes against the given labels, where both exist; what was dropped is movable."""
+    if source.classes is None or decoded.classes is None:
         return {}
-    if predicted is None and decoded.classes is not None:
-        groups = predicted_groups(kept, decoded.classes)
-        predicted = decoded.classes if kept.all() else None
-    else:
-        assert predicted is not None
-        groups = np.asarray([c.group for c in CLASSES], np.uint8)[predicted]
-    row: dict[str, Any] = {"group_confusion": group_confusion(source.classes, groups).ravel()}
-    counts = class_confusion(source.classes, predicted) if predicted is not None else None
+    groups = np.full(len(source), MOVABLE, np.uint8)
+    groups[kept] = GROUP_OF_CLASS[decoded.classes]
+    row: dict[str, Any] = {"group_counts": group_counts(source.classes, groups).ravel()}
+    if dropped is None and not kept.all():
+        return row
+    predicted = np.empty(len(source), np.uint8) if dropped is None else dropped.copy()
+    predicted[kept] = decoded.classes
+    counts = class_confusion(source.classes, predicted)
     if counts is not None:
         row["class_confusion"] = counts.ravel()
+    if sample:
+        row |= {"sample_source": source.points.ravel(), "sample_truth": source.classes}
+        row["sample_predicted"] = predicted
     return row

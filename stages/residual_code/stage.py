@@ -10,7 +10,7 @@ from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.residual_code.models import GopModels
 from salpcc.stages.residual_code.scan_coder import encode_scan
 
-VERSION = 3
+VERSION = 4
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
@@ -35,4 +35,5 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
                 **payload.sizes,
             }
         )
-    return pa.Table.from_pylist(rows, schema=PAYLOAD)
+    table = pa.Table.from_pylist(rows, schema=PAYLOAD.remove(len(PAYLOAD) - 1))
+    return table.append_column(PAYLOAD.field(len(PAYLOAD) - 1), task.column("dropped_classes"))

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
-from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps
+from salpcc.schemas.shards import KEPT, sweeps_to_table, table_to_sweeps
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sweep import source_places, sweep_to_scan
 from salpcc.stages.segment.geometric import split_ground
 from salpcc.stages.segment.task import keep, quantise
 
-VERSION = 1
+VERSION = 2
 
 
 def run(table: pa.Table, config: RunConfig) -> pa.Table:
@@ -25,7 +27,7 @@ def run(table: pa.Table, config: RunConfig) -> pa.Table:
     for sweep in table_to_sweeps(table):
         labelled = sweep if sweep.classes is not None else label(sweep, sensor)
         task = labelled if config.keep_movable else drop_movable(labelled, sensor)
-        dropped.append(len(sweep) - len(task))
+        dropped.append(None if config.keep_movable else dropped_classes(labelled, sensor))
         sweeps.append(task if config.max_error is None else quantise(task, sensor, config.max_error))
     return sweeps_to_table(sweeps, dropped)
 
@@ -46,3 +48,12 @@ def drop_movable(sweep: Sweep, sensor: SensorModel) -> Sweep:
         GROUP_OF_CLASS[sweep.classes] != MOVABLE,
         GROUP_OF_CLASS[sweep.stray_classes] != MOVABLE,
     )
+
+
+def dropped_classes(sweep: Sweep, sensor: SensorModel) -> NDArray[np.uint8]:
+    """Return what :func:`drop_movable` drops of a sweep: the class of each such point in file order, else KEPT."""
+    assert sweep.classes is not None and sweep.stray_classes is not None
+    on, off = source_places(sweep, sensor)
+    classes = np.empty(len(sweep), np.uint8)
+    classes[on], classes[off] = sweep.classes, sweep.stray_classes
+    return np.where(GROUP_OF_CLASS[classes] == MOVABLE, classes, np.uint8(KEPT))

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 
 from salpcc.schemas.errors import ShardError
-from salpcc.schemas.shards import facts_of, stamp, sweeps_to_table, table_to_sweeps
+from salpcc.schemas.shards import KEPT, facts_of, stamp, sweeps_to_table, table_to_sweeps
 from salpcc.schemas.sweep import Sweep
 
 WEIRD = np.array([0x7FC00001, 0xFF800000, 0x80000000, 1], np.uint32).view(
@@ -60,7 +60,10 @@ def test_no_sweeps_are_a_table_of_no_rows() -> None:
 
 
 def test_task_table_carries_what_was_dropped() -> None:
-    assert sweeps_to_table([a_sweep("0")], [17]).column("dropped_movable").to_pylist() == [17]
+    dropped = np.array([KEPT, 1, KEPT, 6], np.uint8)
+    table = sweeps_to_table([a_sweep("0"), a_sweep("1")], [dropped, None])
+    assert table.column("dropped_movable").to_pylist() == [2, 0]
+    assert table.column("dropped_classes").to_pylist() == [dropped.tolist(), None]
 
 
 def test_facts_come_back() -> None:

@@ -13,7 +13,9 @@ import pytest
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
+from salpcc.schemas.shards import KEPT
 from salpcc.stages.evaluate import stage
+from salpcc.stages.evaluate.confusion import group_confusion
 from salpcc.stages.evaluate.schema import METRICS
 
 Street = Callable[..., Scan]
@@ -60,14 +62,29 @@ def test_dropped_points_are_no_error(
     scan = street()
     task = without_movable(scan)
     assert len(task) < len(scan)
-    mask = [np.isin(scan.classes, task.classes)] if known else None
-    (row,) = measure([task], [scan], payload_rows([scan], [task]), kept=mask)
+    classes = np.where(np.isin(scan.classes, task.classes), KEPT, scan.classes).astype(np.uint8)
+    dropped = {scan.name: classes} if known else None
+    (row,) = measure([task], [scan], payload_rows([scan], [task]), dropped=dropped)
     assert row["bit_exact"]
     assert row["points_compared"] == len(task)
     assert row["points_dropped_movable"] == len(scan) - len(task)
-    assert np.count_nonzero(row["group_confusion"]) == 3
-    assert np.trace(np.reshape(row["group_confusion"], (3, 3))) == len(scan)
-    assert row["class_confusion"] is None
+    assert np.trace(group_confusion(np.reshape(row["group_counts"], (21, 3)))) == len(scan)
+    if known:  # what was dropped counts as the class that it was dropped for
+        assert np.trace(np.reshape(row["class_confusion"], (21, 21))) == len(scan)
+    else:
+        assert row["class_confusion"] is None
+
+
+def test_a_profile_that_loses_order_and_points_is_measured_by_nearest_points(
+    street: Street, payload_rows: Rows
+) -> None:
+    scan = street()
+    back = Scan(scan.name, scan.points[:0:-2] + np.float32(0.001), scan.intensity[:0:-2])
+    (row,) = measure([back], [scan], payload_rows([scan], [back]), in_order=False, sample=True)
+    assert not row["bit_exact"] and not row["in_order"] and row["points_compared"] == len(back)
+    assert 0.001 < row["max_error_m"] < 10 and max(row["sample_error_m"]) == pytest.approx(
+        3**0.5 * 0.001, rel=0.01
+    )
 
 
 def test_a_scan_without_source_still_counts_its_bytes(street: Street, payload_rows: Rows) -> None:
@@ -114,9 +131,11 @@ def test_classes_are_measured_where_the_segmenter_has_them(street: Street, paylo
     assert scan.classes is not None
     guess = scan.classes.copy()
     guess[:10] = 15  # vegetation
-    (row,) = measure([scan], [scan], payload_rows([scan], [scan]), predicted=[guess])
+    coded = replace(scan, classes=guess)
+    (row,) = measure([coded], [scan], payload_rows([scan], [scan]), sample=True)
     assert sum(row["class_confusion"]) == len(scan)
     assert np.trace(np.reshape(row["class_confusion"], (21, 21))) < len(scan)
+    assert row["sample_predicted"] == guess.tolist() and row["sample_truth"] == scan.classes.tolist()
 
 
 def test_only_the_first_scan_is_sampled_and_only_when_asked(street: Street, payload_rows: Rows) -> None:
@@ -136,4 +155,4 @@ def test_odd_scans_are_measured_too(points: Any, payload_rows: Rows) -> None:
     (row,) = measure([copy], [scan], payload_rows([scan], [copy]), sample=True)
     assert row["bit_exact"] and row["max_error_m"] == row["d_d_m2"] == 0.0
     assert row["points_decoded"] == len(places)
-    assert row["group_confusion"] is None
+    assert row["group_counts"] is None
