@@ -59,11 +59,17 @@ def calibrate(
     typer.echo(f"sensor model: {out}; use it with --sensor {out}")
 
 
-def report(out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run")]) -> None:
+def report(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run")],
+    beside: Annotated[
+        list[Path] | None, typer.Option(metavar="DIR", help="Show this run or map, too; may be repeated")
+    ] = None,
+) -> None:
     """Rebuild the tables, plots and page of a run from what it measured."""
     from salpcc.stages.evaluate.report import build
 
-    if not (out / "report").is_dir():
-        raise UsageError(f"{out}: no report there; name the --out of a run")
-    build(out)
+    for folder in (out, *(beside or [])):
+        if not (folder / "report").is_dir():
+            raise UsageError(f"{folder}: no report there; name the --out of a run")
+    build(out, beside or [])
     typer.echo(f"report: {out / 'report' / 'index.html'}")

@@ -7,7 +7,6 @@ from typing import Any
 
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.layout.figure_rows import flat_row
-from salpcc.stages.evaluate.layout.published import PAPER
 from salpcc.stages.evaluate.layout.tables import Column, Table
 
 THIS_RUN = "this run"
@@ -73,25 +72,6 @@ def bd_rate_table(report: Report) -> Table:
         "groups; a dash: they reach none in common."
     )
     return Table("bd_rate", "Rate at equal distortion", columns, rows, note)
-
-
-def published_table() -> Table:
-    """What the paper publishes, for orientation; measured by its authors, on their machine."""
-    columns = (
-        Column("system", "system (published)"),
-        Column("accuracy_mm", "accuracy, mm", "g"),
-        Column("rate_percent", "CR, %", ".2f"),
-        Column("encode_s", "encode, s", ".3f"),
-        Column("decode_s", "decode, s", ".3f"),
-    )
-    rows = tuple(
-        row._asdict() | {"accuracy_mm": None if row.accuracy is None else 1e3 * row.accuracy} for row in PAPER
-    )
-    note = (
-        "Tables II and III of the SA-LPCC paper, sequences 11 to 21, not measured here. Its rates are taken after "
-        "dropping movable points and losing points that collide in the range image."
-    )
-    return Table("published", "Published figures", columns, rows, note)
 
 
 def _told(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -7,6 +7,14 @@ from typing import Any
 
 from salpcc.stages.evaluate.aggregate import STREAMS
 
+TOTAL = "all"
+
+
+def rows_of(report: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
+    """One flat row per sequence, then the total."""
+    rows = [flat_row(name, figures) for name, figures in report["sequences"].items()]
+    return (*rows, flat_row(TOTAL, report["total"]))
+
 
 def flat_row(name: str, figures: Mapping[str, Any]) -> dict[str, Any]:
     """Flatten the nested figures of one sequence, errors in millimetres."""
@@ -18,8 +26,9 @@ def flat_row(name: str, figures: Mapping[str, Any]) -> dict[str, Any]:
         row |= {f"share_{s}": 100.0 * (figures["bytes"].get(s) or 0) / size for s in STREAMS}
     iou = figures.get("iou") or {}
     row |= {f"group_{key}": value for key, value in (iou.get("groups") or {}).items()}
+    row |= {f"bare_{key}": value for key, value in (iou.get("groups_without_terrain") or {}).items()}
     row |= {f"class_{key}": value for key, value in (iou.get("classes") or {}).items()}
-    row["miou"] = iou.get("miou")
+    row |= {key: iou.get(key) for key in ("miou", "miou_paper", "movable_recall", "movable_precision")}
     for kind in ("max", "max_axis", "rms"):
         error = figures.get(f"{kind}_error_m")
         row[f"{kind}_error_mm"] = None if error is None else 1e3 * error

@@ -8,19 +8,16 @@ from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
-from salpcc.stages.evaluate.layout.drawing import Plot
-from salpcc.stages.evaluate.layout.pictures import Picture
-from salpcc.stages.evaluate.layout.tables import Table
+from salpcc.stages.evaluate.layout.comparison_plots import sequence_plots
+from salpcc.stages.evaluate.layout.gallery import Gallery
+from salpcc.stages.evaluate.layout.paper_tables import published_tables
+from salpcc.stages.evaluate.layout.plots import all_plots
+from salpcc.stages.evaluate.layout.report_tables import all_tables
+from salpcc.stages.evaluate.layout.runs import all_runs
 
 
-def render_page(
-    report: Mapping[str, Any],
-    tables: Sequence[Table],
-    plots: Sequence[Plot],
-    sequence_plots: Sequence[Plot],
-    pictures: Mapping[str, Sequence[Picture]],
-) -> str:
-    """Fill ``page.html.j2``. ``pictures`` by sequence."""
+def render_page(report: Mapping[str, Any], galleries: Sequence[Gallery]) -> str:
+    """Fill ``page.html.j2`` with everything that the report has figures for."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -32,11 +29,30 @@ def render_page(
         run=report["run"],
         total=report["total"],
         claims=headline(report),
-        tables=tables,
-        plots=plots,
-        sequence_plots=sequence_plots,
-        pictures=pictures,
+        tables=all_tables(report),
+        published=published_tables(),
+        missing=missing_parts(report),
+        plots=all_plots(report),
+        sequence_plots=sequence_plots(report),
+        galleries=galleries,
     )
+
+
+def missing_parts(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What this report could show and does not, and the command that measures it."""
+    iou = report["total"]["iou"] or {}
+    parts = [
+        (iou, "Table I, Fig. 7", "run sequences … --labels network, on sequences that have .label files"),
+        (
+            any(run.of_paper for run in all_runs(report)),
+            "Tables II, IV",
+            "run sequences … --profile paper --max-error 0.001 --out PAPER; report OUT --beside PAPER",
+        ),
+        (report["baselines"], "Table III, Figs. 8 and 9, other codecs", "run sequences … --baselines all"),
+        (report["registration"], "Table V", "map …; report OUT --beside MAP"),
+        (report["map_quality"], "Fig. 10, clean maps", "map …; report OUT --beside MAP"),
+    ]
+    return [(what, command) for there, what, command in parts if not there]
 
 
 def headline(report: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -11,21 +11,25 @@ import numpy as np
 from matplotlib.image import imsave
 from numpy.typing import NDArray
 
-from salpcc.schemas.labels import CLASSES
+from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS
 
 _BACKGROUND = (16, 19, 26)
 _UNLABELLED = (122, 128, 140)  # black in the labels' own colours, which nobody would see here
+_GROUP_COLOURS = np.array(
+    [(196, 200, 208), (255, 105, 180), (70, 120, 255)], np.uint8
+)  # other, ground, movable
 _RANGE_ROWS, _RANGE_COLUMNS, _STRETCH = 64, 1024, 3
 _SIDE, _REACH = 640, 48.0  # pixels, metres
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture: title, caption, and the PNG as a data URI."""
+    """One picture: title, caption, the PNG as a data URI, and whether it takes the whole width."""
 
     title: str
     caption: str
     uri: str
+    wide: bool
 
 
 def scan_pictures(
@@ -47,19 +51,44 @@ def scan_pictures(
     worst = float(np.max(error))
     second = _scale(error, 0.0, worst) if worst else height
     how = f"error, 0 (dark) to {1e3 * worst:.2f} mm (bright)" if worst else of_height + "; every error is 0"
+    ways = [(first, what), (second, how)]
     if not worst and classes is None:  # one colouring says it all
-        return [
-            Picture(
-                f"{name}, range image", f"Decoded, coloured by {how}.", _uri(range_image(points, height))
-            ),
-            Picture(f"{name}, from above", f"Coloured by {how}.", _uri(birds_eye(points, height))),
-        ]
+        ways = [(height, how)]
     return [
-        Picture(f"{name}, range image", f"Decoded, coloured by {what}.", _uri(range_image(points, first))),
-        Picture(f"{name}, range image", f"Decoded, coloured by {how}.", _uri(range_image(points, second))),
-        Picture(f"{name}, from above", f"Coloured by {what}.", _uri(birds_eye(points, first))),
-        Picture(f"{name}, from above", f"Coloured by {how}.", _uri(birds_eye(points, second))),
+        *(_from_the_side(name, f"Decoded, coloured by {text}.", points, colour) for colour, text in ways),
+        *(_from_above(name, f"Coloured by {text}.", points, colour) for colour, text in ways),
     ]
+
+
+def segmentation_pictures(
+    name: str, points: NDArray[np.float32], truth: NDArray[np.uint8], predicted: NDArray[np.uint8]
+) -> list[Picture]:
+    """Draw a source scan ``(N, 3)``, the groups of its true classes ``(N,)``, and those of the predicted ones."""
+    finite = np.isfinite(points).all(axis=1)
+    points, truth, predicted = points[finite], truth[finite], predicted[finite]
+    if not len(points):
+        return []
+    groups = [_GROUP_COLOURS[GROUP_OF_CLASS[classes]] for classes in (truth, predicted)]
+    groups[0][truth == 0] = _UNLABELLED
+    ways = [
+        (_scale(points[:, 2], -2.5, 3.0), "Input, coloured by height."),
+        (groups[0], "Truth."),
+        (groups[1], "Result."),
+    ]
+    return [
+        *(_from_the_side(name, text, points, colour) for colour, text in ways),
+        *(_from_above(name, text, points, colour) for colour, text in ways[1:]),
+    ]
+
+
+def _from_the_side(
+    name: str, caption: str, points: NDArray[np.float32], colours: NDArray[np.uint8]
+) -> Picture:
+    return Picture(f"{name}, range image", caption, _drawn(range_image(points, colours)), True)
+
+
+def _from_above(name: str, caption: str, points: NDArray[np.float32], colours: NDArray[np.uint8]) -> Picture:
+    return Picture(f"{name}, from above", caption, _drawn(birds_eye(points, colours)), False)
 
 
 def range_image(points: NDArray[np.float32], colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -97,7 +126,12 @@ def _scale(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.u
     return (255 * colours[:, :3]).astype(np.uint8)
 
 
-def _uri(image: NDArray[np.uint8]) -> str:
+def as_uri(png: bytes) -> str:
+    """Write a PNG so that it can stand in a page."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
+
+
+def _drawn(image: NDArray[np.uint8]) -> str:
     buffer = io.BytesIO()
     imsave(buffer, image, format="png")
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return as_uri(buffer.getvalue())

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from salpcc.schemas.labels import CLASSES, GROUPS
 from salpcc.stages.evaluate.aggregate import ENCODE_STAGES, STREAMS
-from salpcc.stages.evaluate.layout.comparison_tables import baseline_table, bd_rate_table, published_table
-from salpcc.stages.evaluate.layout.figure_rows import flat_row
+from salpcc.stages.evaluate.layout.comparison_tables import baseline_table, bd_rate_table
+from salpcc.stages.evaluate.layout.downstream_tables import downstream_tables
+from salpcc.stages.evaluate.layout.figure_rows import rows_of
+from salpcc.stages.evaluate.layout.paper_tables import paper_tables
+from salpcc.stages.evaluate.layout.segmentation_tables import segmentation_tables
 from salpcc.stages.evaluate.layout.tables import Column, Table
 
 Report = Mapping[str, Any]
-TOTAL = "all"
 
 
 def all_tables(report: Report) -> list[Table]:
     """Every table that the report has figures for."""
-    tables = [sequence_table(report), bytes_table(report), time_table(report)]
-    if any(figures["iou"] for figures in report["sequences"].values()):
-        tables.append(iou_table(report))
+    tables = [sequence_table(report), bytes_table(report), time_table(report), *segmentation_tables(report)]
     if report["baselines"]:
         tables.append(baseline_table(report))
         if report["bd_rate_percent"]:
             tables.append(bd_rate_table(report))
-        tables.append(published_table())
+    tables += [*paper_tables(report), *downstream_tables(report)]
     if report["failures"]:
         tables.append(failure_table(report))
     return tables
@@ -55,7 +54,7 @@ def sequence_table(report: Report) -> Table:
         "point. Errors: 3-D, point by point in file order, of what the archive decodes to. Dropped: points that "
         "the task does not keep. Times: CPU of one core, median a scan."
     )
-    return Table("sequences", "What it costs", columns, _rows(report), note, last_is_total=True)
+    return Table("sequences", "What it costs", columns, rows_of(report), note, last_is_total=True)
 
 
 def summary_table(report: Report) -> Table:
@@ -85,7 +84,7 @@ def bytes_table(report: Report) -> Table:
     shares = [Column(f"share_{stream}", f"{stream}, %", ".1f") for stream in STREAMS]
     columns = (Column("sequence", "sequence"), *streams, *shares)
     note = "Side holds checksums, and the framing and attachments of the file."
-    return Table("bytes", "Bytes of each stream", columns, _rows(report), note, last_is_total=True)
+    return Table("bytes", "Bytes of each stream", columns, rows_of(report), note, last_is_total=True)
 
 
 def time_table(report: Report) -> Table:
@@ -99,25 +98,7 @@ def time_table(report: Report) -> Table:
         Column("decode_ms_per_scan", "decode", ".1f"),
     )
     note = "CPU milliseconds a scan on one core, median over the groups of pictures (decode: over the scans)."
-    return Table("times", "Time of each stage", columns, _rows(report), note, last_is_total=True)
-
-
-def iou_table(report: Report) -> Table:
-    """IoU of the groups and mIoU, then each class that occurs."""
-    named = [c.name for c in CLASSES]
-    seen = {name for f in report["sequences"].values() for name in ((f["iou"] or {}).get("classes") or {})}
-    columns = (
-        Column("sequence", "sequence"),
-        *(Column(f"group_{name}", name, ".3f") for name in GROUPS),
-        Column("miou", "mIoU", ".3f"),
-        *(Column(f"class_{name}", name, ".3f") for name in named if name in seen),
-    )
-    note = (
-        "IoU, eq. (21), against the given labels. Unlabelled points do not count; a dash: not in these scans."
-    )
-    if report["run"].get("config", {}).get("labels") == "given":
-        note += " This run took its classes from those very labels."
-    return Table("iou", "Segmentation", columns, _rows(report), note, last_is_total=True)
+    return Table("times", "Time of each stage", columns, rows_of(report), note, last_is_total=True)
 
 
 def failure_table(report: Report) -> Table:
@@ -125,10 +106,3 @@ def failure_table(report: Report) -> Table:
     keys = ("sequence", "name", "stage", "file", "message")
     columns = tuple(Column(key, "scan" if key == "name" else key) for key in keys)
     return Table("failures", "What failed", columns, tuple(report["failures"]))
-
-
-def _rows(report: Report) -> tuple[Mapping[str, Any], ...]:
-    """One flat row per sequence, and the total where there are several."""
-    named: Iterable[tuple[str, Mapping[str, Any]]] = report["sequences"].items()
-    rows = [flat_row(name, figures) for name, figures in named]
-    return (*rows, flat_row(TOTAL, report["total"]))

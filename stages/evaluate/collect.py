@@ -1,0 +1,102 @@
+"""Put the content of ``report.json`` together from what was recorded; its names are a contract (ARCHITECTURE)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from salpcc.stages.evaluate.aggregate import STREAMS, figures, total
+from salpcc.stages.evaluate.baseline_figures import baseline_figures, bd_rates
+from salpcc.stages.evaluate.downstream import ablation_figures, coder_figures, registration_figures
+from salpcc.stages.evaluate.machine import describe_machine
+from salpcc.stages.evaluate.record import recorded, recorded_run
+
+REPORT_VERSION = 2
+
+
+def collect(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
+    """Return the figures of ``report.json``; anything not finite is None.
+
+    Runs in the folders ``beside`` are shown next to the one in ``out``, and what only they recorded (baselines,
+    registration, maps, coders, ablations) with it.
+    """
+    folders = [out, *beside]
+    baselines = next((t for t in (recorded(f, "baselines") for f in folders) if t.num_rows), None)
+    report = run_figures(out)
+    for name, sequence in report["sequences"].items():
+        if baselines is not None:
+            sequence["baselines"] = baseline_figures(_of(baselines, name))
+    compared = {} if baselines is None else baseline_figures(baselines)
+    failures = recorded(out, "failures")
+    report = {
+        "version": REPORT_VERSION,
+        "run": recorded_run(out),
+        "machine": describe_machine(),
+        **report,
+        "beside": [{"config": recorded_run(f).get("config", {}), **run_figures(f)} for f in beside],
+        "baselines": compared,
+        "bd_rate_percent": bd_rates(compared),
+        "coders": coder_figures(_joined(folders, "coders")),
+        "ablations": ablation_figures(_joined(folders, "ablations")),
+        "registration": registration_figures(_joined(folders, "registration")),
+        "map_quality": _joined(folders, "map_quality").to_pylist(),
+        "failures": failures.to_pylist(),
+        "errors": error_lines(failures),
+    }
+    finite = _finite(report)
+    assert isinstance(finite, dict)
+    return finite
+
+
+def run_figures(out: Path) -> dict[str, Any]:
+    """Figures of the run in ``out``: ``sequences`` and ``total``."""
+    metrics, times = recorded(out, "metrics"), recorded(out, "times")
+    sequences, containers = {}, 0
+    for name in sorted(set(metrics.column("sequence").to_pylist())):
+        rows = _of(metrics, name)
+        container = container_bytes(out, name, rows)
+        containers += container
+        sequences[name] = figures(rows, _of(times, name), container)
+        (sequences[name]["iou"] or {}).pop("confusion", None)  # of all sequences together is enough
+    return {"sequences": sequences, "total": figures(metrics, times, containers)}
+
+
+def container_bytes(out: Path, sequence: str, metrics: pa.Table) -> int:
+    """Bytes of the sequence's archive that are not payload; 0 where the archive is not at hand."""
+    path = out / "archives" / f"{sequence}.mcap"
+    if not path.exists():
+        return 0
+    return max(0, path.stat().st_size - sum(total(metrics, f"bytes_{stream}") for stream in STREAMS))
+
+
+def error_lines(failures: pa.Table) -> list[dict[str, str]]:
+    """Name what failed: sequence, scan (empty for a whole sequence), stage, reason."""
+    return [
+        {"sequence": row["sequence"], "scan": row["name"], "stage": row["stage"], "reason": row["message"]}
+        for row in failures.to_pylist()
+    ]
+
+
+def _joined(folders: Sequence[Path], name: str) -> pa.Table:
+    """All rows that the folders recorded under a name."""
+    return pa.concat_tables([recorded(folder, name).replace_schema_metadata(None) for folder in folders])
+
+
+def _of(rows: pa.Table, sequence: str) -> pa.Table:
+    return rows.filter(pc.equal(rows.column("sequence"), sequence))
+
+
+def _finite(value: Any) -> Any:
+    """Copy a JSON value with NaN and infinities as None: they are no JSON."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,59 @@
+"""Sum up what other commands record for the report: registration, lossless coders, ablations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pyarrow as pa
+
+from salpcc.stages.evaluate.metrics import compression_rate
+
+Rows = list[dict[str, Any]]
+
+_CLOUD = ("sequence", "method", "cloud", "max_error", "movable")
+
+
+def registration_figures(rows: pa.Table) -> Rows:
+    """Mean, standard deviation and median over the pairs of each sequence, method and cloud."""
+    errors = {"rotation_deg": "rotation_deg", "translation_m": "translation_m"}
+    wanted = [(key, how) for key in errors for how in ("mean", "stddev", "approximate_median")]
+    grouped = rows.group_by(list(_CLOUD), use_threads=False).aggregate(
+        [*wanted, ("bpp", "mean"), ("source", "count")]
+    )
+    names = {f"{key}_{how}": f"{key}_{short}" for key in errors for how, short in _SHORT.items()}
+    names |= {"bpp_mean": "bpp", "source_count": "pairs"}
+    return [{names.get(key, key): value for key, value in row.items()} for row in grouped.to_pylist()]
+
+
+def coder_figures(rows: pa.Table) -> Rows:
+    """CR of each coder and input over all sequences, and CPU milliseconds a million points; the best first."""
+    keys = ["input", "max_error", "coder", "settings", "status"]
+    sums = ("points", "bytes_in", "bytes_out", "encode_ms", "decode_ms")
+    found = []
+    for row in rows.group_by(keys, use_threads=False).aggregate([(name, "sum") for name in sums]).to_pylist():
+        total = {name: row[f"{name}_sum"] for name in sums}
+        ran = row["status"] == "ok" and total["points"]
+        figures = {key: row[key] for key in keys} | {name: total[name] for name in sums[:3]}
+        figures["rate_percent"] = compression_rate(total["bytes_out"], total["points"]) if ran else None
+        for name in ("encode_ms", "decode_ms"):
+            figures[name] = 1e6 * total[name] / total["points"] if ran and total[name] is not None else None
+        found.append(figures)
+    return sorted(found, key=_coder_place)
+
+
+def ablation_figures(rows: pa.Table) -> dict[str, Rows]:
+    """One row per sequence and variant of each study, its measures as keys."""
+    studies: dict[str, dict[tuple[str, str], dict[str, Any]]] = {}
+    for row in rows.to_pylist():
+        study = studies.setdefault(row["study"], {})
+        key = (row["sequence"], row["variant"])
+        study.setdefault(key, {"sequence": key[0], "variant": key[1]})[row["measure"]] = row["value"]
+    return {study: list(found.values()) for study, found in studies.items()}
+
+
+_SHORT = {"mean": "mean", "stddev": "std", "approximate_median": "median"}
+
+
+def _coder_place(figures: dict[str, Any]) -> tuple[bool, float, float]:
+    rate = figures["rate_percent"]
+    return figures["input"] != "raw", figures["max_error"] or 0.0, 1e9 if rate is None else rate
