@@ -17,7 +17,7 @@ from rich.table import Table
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
-from salpcc.schemas.config import UNBOUNDED, Effort, Labels, Profile, RunConfig
+from salpcc.schemas.config import UNBOUNDED, Coder, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.manifest import Manifest, expand_sequences, load_manifest
 from salpcc.schemas.work import STAGES
@@ -44,12 +44,19 @@ def sequences(
     source: Annotated[str, typer.Option(help=f"{' | '.join(SOURCES)}")] = "semantickitti",
     profile: Annotated[Profile, typer.Option(help="sensor lattice, or the paper's grid")] = "sensor",
     max_error: Annotated[
-        float | None, typer.Option(help="Metres, 3-D, per point [default: bit-exact]")
+        float | None,
+        typer.Option(
+            help="Metres, 3-D, per point [default: bit-exact]; --profile paper: the range step [default: 0.001]"
+        ),
     ] = None,
     keep_movable: Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")] = False,
     labels: Annotated[Labels, typer.Option(help="From the network, or from .label files")] = "network",
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
     effort: Annotated[Effort, typer.Option(help="How hard to search for fewer bits")] = "default",
+    coder: Annotated[
+        Coder,
+        typer.Option(help="Of the residuals, with --profile paper: PPMd, the paper's others, or context"),
+    ] = "ppmd",
     gop: Annotated[int, typer.Option(help="Scans per group of pictures")] = 8,
     sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
     workers: Annotated[
@@ -84,6 +91,7 @@ def sequences(
         keep_movable=keep_movable,
         labels=labels,
         effort=effort,
+        coder=coder,
         gop=gop,
         sensor=sensor,
         frames=parse_frames(frames),

@@ -10,7 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
-from salpcc.schemas.shards import list_array, list_column, list_of
+from salpcc.schemas.shards import TASK, list_array, list_column, list_of
 
 _FIELDS = [
     pa.field("name", pa.string(), nullable=False),
@@ -26,7 +26,9 @@ _FIELDS = [
 ]
 _SCALARS = ("name", "time", "frame_id", "n_points", "accuracy")
 
-GRID_TASK = pa.schema([*_FIELDS, pa.field("dropped_movable", pa.int64(), nullable=False)])
+# What a TASK table says of what was dropped goes on as it is.
+_OF_TASK = tuple(field for field in TASK if field.name.startswith("dropped_"))
+GRID_TASK = pa.schema([*_FIELDS, *_OF_TASK])
 GRID_PLANES = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
@@ -43,15 +45,16 @@ GRID_PREDICTION = pa.schema(
 )
 
 
-def grids_to_table(sweeps: Iterable[GridSweep], dropped_movable: Iterable[int]) -> pa.Table:
-    """Lay grid sweeps out as a GRID_TASK table."""
+def grids_to_table(sweeps: Iterable[GridSweep], task: pa.Table) -> pa.Table:
+    """Lay grid sweeps out as a GRID_TASK table; ``task`` is the TASK table that they were made of."""
     rows = list(sweeps)
     columns = []
     for field in _FIELDS:
         values = [getattr(sweep, field.name) for sweep in rows]
         scalar = field.name in _SCALARS
         columns.append(pa.array(values, field.type) if scalar else list_column(values, field.type))
-    return pa.Table.from_arrays([*columns, pa.array(list(dropped_movable), pa.int64())], schema=GRID_TASK)
+    columns += [task.column(field.name).combine_chunks() for field in _OF_TASK]
+    return pa.Table.from_arrays(columns, schema=GRID_TASK)
 
 
 def table_to_grids(table: pa.Table) -> list[GridSweep]:
@@ -91,7 +94,9 @@ def table_to_grid_predictions(table: pa.Table) -> list[GridPrediction]:
     """Inverse of :func:`grid_predictions_to_table`, names apart."""
     rows = []
     for row in range(table.num_rows):
-        arrays: dict[str, Any] = {name: list_array(table, name, row) for name in ("motion", "level", "spread")}
+        arrays: dict[str, Any] = {
+            name: list_array(table, name, row) for name in ("motion", "level", "spread")
+        }
         for name in ("level", "spread"):
             if arrays[name] is not None:
                 arrays[name] = arrays[name].reshape(ROWS, COLUMNS)

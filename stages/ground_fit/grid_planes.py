@@ -22,9 +22,7 @@ HEIGHT_UNIT = 0.002  # metres; slopes are that over the size of the region
 _FEWEST = 6
 _ENOUGH = 400  # points beyond these do not move a plane
 _TRIMS = (0.1, 0.04)  # metres off the plane; a plane is fitted again to the points within
-_LARGEST = 1 << 15
-
-Planes = dict[int, tuple[int, int, int]]
+PLANE_LIMIT = 1 << 20  # of the units
 
 
 @njit(cache=True, error_model="numpy")
@@ -94,7 +92,7 @@ def fit_ground(sweep: GridSweep) -> NDArray[np.int32]:
         best: tuple[float, tuple[int, ...]] | None = None
         for plane in _candidates(local):
             units = np.rint(plane / HEIGHT_UNIT * np.array([size, size, 1.0]))[[2, 0, 1]]
-            if not (np.abs(units) < _LARGEST).all():
+            if not (np.abs(units) < PLANE_LIMIT).all():
                 continue
             row = (int(k), *(int(u) for u in units))
             cost = _cost(row, beams[inside], reach[inside], middle[k], sweep.accuracy)

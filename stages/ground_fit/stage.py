@@ -6,8 +6,10 @@ import numpy as np
 import pyarrow as pa
 
 from salpcc.schemas.config import RunConfig
+from salpcc.schemas.grid_shards import planes_to_table, table_to_grids
 from salpcc.schemas.labels import GROUND, GROUP_OF_CLASS
 from salpcc.schemas.shards import PLANES, table_to_sweeps
+from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ground_fit.plane import fit_plane
 from salpcc.stages.ground_fit.regions import region_of
 from salpcc.stages.ingest.lattice import unproject
@@ -20,7 +22,12 @@ _ENOUGH = 1000  # points beyond these do not move a plane
 
 
 def run(task: pa.Table, config: RunConfig) -> pa.Table:
-    """Turn a TASK table into a PLANES table: planes ``a x + b y + c z + d = 0`` with c = -1."""
+    """Turn a TASK table into a PLANES table: planes ``a x + b y + c z + d = 0`` with c = -1.
+
+    Profile ``paper``: a GRID_TASK table into a GRID_PLANES table.
+    """
+    if config.profile == "paper":
+        return planes_to_table(task.column("name").to_pylist(), [fit_ground(s) for s in table_to_grids(task)])
     sensor = load_sensor(config.sensor)
     rows = []
     for sweep in table_to_sweeps(task):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import pyarrow as pa
 
 from salpcc.schemas.config import RunConfig
+from salpcc.schemas.grid_shards import grid_predictions_to_table, table_to_grids
 from salpcc.schemas.shards import predictions_to_table, table_to_sweeps
 from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.predict.grid_prediction import predict_gop
 from salpcc.stages.predict.prediction import predict
 
 VERSION = 3
@@ -16,8 +18,10 @@ def run(task: pa.Table, planes: pa.Table, config: RunConfig) -> pa.Table:
     """Turn a TASK table into a PREDICTION table.
 
     The neighbours' predictors follow planes by themselves (1/r is linear over a plane), so the fitted
-    planes are not used in the ``sensor`` profile.
+    planes are not used in the ``sensor`` profile. Profile ``paper``: a GRID_PREDICTION table.
     """
+    if config.profile == "paper":
+        return grid_predictions_to_table(task.column("name").to_pylist(), predict_gop(table_to_grids(task)))
     sensor = load_sensor(config.sensor)
     sweeps = table_to_sweeps(task)
     predictions = [predict(sweep, sensor, config.effort) for sweep in sweeps]

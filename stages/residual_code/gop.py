@@ -7,10 +7,17 @@ ones before.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import chain
 
+from salpcc.schemas.grid import GridSweep
+from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.ingest.grid import grid_to_scan
 from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.sweep import sweep_to_scan
 from salpcc.stages.predict.prediction import predict
+from salpcc.stages.residual_code.grid_coder import decode_grids
+from salpcc.stages.residual_code.grid_payload import GRID_CODEC
 from salpcc.stages.residual_code.models import GopModels
 from salpcc.stages.residual_code.payload import Payload
 from salpcc.stages.residual_code.scan_coder import decode_scan, encode_scan
@@ -20,6 +27,23 @@ def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "defa
     """Encode the sweeps of one GOP, predictions included."""
     models = GopModels(sensor)
     return [encode_scan(sweep, sensor, predict(sweep, sensor, effort), models) for sweep in sweeps]
+
+
+def decode_any(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep | GridSweep]:
+    """Decode the payloads of one GOP of either profile, from its first scan on.
+
+    Raises:
+        ArchiveError: a payload is damaged.
+    """
+    coming = iter(payloads)
+    first = next(coming, b"")
+    given = chain([first], coming) if first else coming
+    return decode_grids(given) if first[:1] == bytes([GRID_CODEC]) else decode_gop(given, sensor)
+
+
+def scan_of(sweep: Sweep | GridSweep, sensor: SensorModel) -> Scan:
+    """Return the scan of a decoded sweep of either profile."""
+    return grid_to_scan(sweep) if isinstance(sweep, GridSweep) else sweep_to_scan(sweep, sensor)
 
 
 def decode_gop(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep]:

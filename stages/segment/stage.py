@@ -16,20 +16,23 @@ from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sweep import source_places, sweep_to_scan
 from salpcc.stages.segment.geometric import split_ground
 from salpcc.stages.segment.task import keep, quantise
+from salpcc.stages.segment.to_grid import to_grid
 
 VERSION = 2
 
 
 def run(table: pa.Table, config: RunConfig) -> pa.Table:
-    """Turn a SWEEP table into a TASK table."""
+    """Turn a SWEEP table into a TASK table (profile ``paper``: a GRID_TASK table)."""
     sensor = load_sensor(config.sensor)
     sweeps, dropped = [], []
     for sweep in table_to_sweeps(table):
         labelled = sweep if sweep.classes is not None else label(sweep, sensor)
         task = labelled if config.keep_movable else drop_movable(labelled, sensor)
         dropped.append(None if config.keep_movable else dropped_classes(labelled, sensor))
-        sweeps.append(task if config.max_error is None else quantise(task, sensor, config.max_error))
-    return sweeps_to_table(sweeps, dropped)
+        exact = config.max_error is None or config.profile == "paper"
+        sweeps.append(task if exact else quantise(task, sensor, config.max_error))
+    tasks = sweeps_to_table(sweeps, dropped)
+    return to_grid(tasks, sensor, config) if config.profile == "paper" else tasks
 
 
 def label(sweep: Sweep, sensor: SensorModel) -> Sweep:

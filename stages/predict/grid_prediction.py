@@ -1,0 +1,65 @@
+"""Predict the frames of a GOP of range images from those before them, in encoder and decoder alike."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
+from salpcc.stages.ingest.grid import ELEVATION_UNIT, LEVEL_LIMIT, directions
+from salpcc.stages.predict.odometry import UNITS, find_motion
+from salpcc.stages.predict.st_lstm import Memory, predict_frame
+
+_MM = 0.001
+WEIGHTS = bytes(8)  # names the network's weights
+
+
+class FramePredictor:
+    """Runs the prediction network (section V-B) through a GOP, one frame after the other."""
+
+    def __init__(self, elevation: NDArray[np.int16], accuracy: float) -> None:
+        self._elevation = elevation * ELEVATION_UNIT
+        self._accuracy = accuracy
+        self._memory: Memory | None = None
+        self._last: NDArray[np.int32] | None = None
+
+    def predict(self, motion: NDArray[np.int32] | None) -> GridPrediction:
+        """Predict the next frame; ``motion`` ``(6,)`` from the last one to it, in UNITS.
+
+        None is for the first frame, and where no motion is known: then the network starts afresh.
+        """
+        if motion is None or self._last is None:
+            self._memory = None
+            return GridPrediction()
+        found, self._memory = predict_frame(self._memory, self._last, motion * UNITS, self._elevation)
+        level = np.floor(found.ranges * _MM / self._accuracy + 0.5)
+        level[(found.ranges <= 0) | (level >= LEVEL_LIMIT)] = 0
+        return GridPrediction(motion, level.astype(np.int32), found.spread)
+
+    def learn(self, level: NDArray[np.int32]) -> None:
+        """Take the levels ``(64, 2000)`` of the frame that was coded."""
+        self._last = np.floor(level * self._accuracy / _MM + 0.5).astype(np.int32)
+
+
+def predict_gop(sweeps: list[GridSweep]) -> list[GridPrediction]:
+    """Predict every sweep of a GOP, as the decoder will once it is told the motions found here."""
+    if not sweeps:
+        return []
+    predictor = FramePredictor(sweeps[0].elevation, sweeps[0].accuracy)
+    beams = directions(sweeps[0].elevation)
+    predictions: list[GridPrediction] = []
+    before = None
+    for sweep in sweeps:
+        points = beams * (sweep.level.reshape(ROWS * COLUMNS, 1) * sweep.accuracy)
+        motion = None if before is None else find_motion(before, points, _guess(sweep, predictions[-1]))
+        predictions.append(predictor.predict(motion))
+        predictor.learn(sweep.level)
+        before = points
+    return predictions
+
+
+def _guess(sweep: GridSweep, last: GridPrediction) -> NDArray[np.float64] | None:
+    """The motion that ingest found for the scan itself, else that of the frame before."""
+    if sweep.motion is not None:
+        return sweep.motion
+    return None if last.motion is None else last.motion * UNITS

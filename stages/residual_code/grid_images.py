@@ -1,0 +1,90 @@
+"""The mask, the ground map and the levels of a range image, by one of the nine coders or by contexts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.grid import COLUMNS, ROWS
+from salpcc.stages.residual_code.grid_residuals import from_bytes, from_residuals, residuals, to_bytes
+from salpcc.stages.residual_code.lossless import CODERS, Lossless
+
+_CELLS = ROWS * COLUMNS
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """What both sides know before a frame: levels ``(64, 2000)`` of its planes and from the frames before
+    (0 for none), and how far off the latter are expected to be, 0 to 15."""
+
+    plane: NDArray[np.int32]
+    frame: NDArray[np.int32]
+    spread: NDArray[np.uint8]
+
+
+class ImageCoder(Protocol):
+    """Codes the frames of a GOP, one after the other."""
+
+    def encode(
+        self, level: NDArray[np.int32], ground: NDArray[np.bool_], images: Images
+    ) -> tuple[bytes, bytes, bytes]:
+        """Return mask, ground map and levels of a frame as bytes."""
+        ...
+
+    def decode(
+        self, mask: bytes, ground: bytes, levels: bytes, returns: int, images: Images
+    ) -> NDArray[np.int32]:
+        """Return the level image; inverse of :meth:`encode`.
+
+        Raises:
+            ArchiveError: the streams do not decode to ``returns`` levels.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ByteImages:
+    """One of the nine coders: mask and ground map as packed bits, residuals as planes of bytes."""
+
+    coder: Lossless
+
+    def encode(
+        self, level: NDArray[np.int32], ground: NDArray[np.bool_], images: Images
+    ) -> tuple[bytes, bytes, bytes]:
+        """Encode a frame; see :class:`ImageCoder`."""
+        filled = level > 0
+        return (
+            self.coder.encode(np.packbits(filled).tobytes()),
+            self.coder.encode(np.packbits(ground[filled]).tobytes()),
+            self.coder.encode(to_bytes(residuals(level, ground, images.plane, images.frame))),
+        )
+
+    def decode(
+        self, mask: bytes, ground: bytes, levels: bytes, returns: int, images: Images
+    ) -> NDArray[np.int32]:
+        """Decode a frame; see :class:`ImageCoder`."""
+        filled = _bits(self.coder.decode(mask, _CELLS // 8), _CELLS).reshape(ROWS, COLUMNS)
+        if filled.sum() != returns:
+            raise ArchiveError("payload does not decode")
+        on_ground = np.zeros(filled.shape, np.bool_)
+        on_ground[filled] = _bits(self.coder.decode(ground, -(-returns // 8)), returns)
+        values = from_bytes(self.coder.decode(levels, 4 * returns), returns)
+        level, sound = from_residuals(values, filled, on_ground, images.plane, images.frame)
+        if not sound:
+            raise ArchiveError("payload does not decode")
+        return level
+
+
+def _bits(data: bytes, n: int) -> NDArray[np.bool_]:
+    return np.unpackbits(np.frombuffer(data, np.uint8), count=n).astype(np.bool_)
+
+
+IMAGE_CODERS: Mapping[str, Callable[[], ImageCoder]] = {
+    name: partial(ByteImages, coder) for name, coder in CODERS.items()
+}

@@ -1,0 +1,27 @@
+"""The nine lossless coders that the paper tries on its residuals (Fig. 8), by the name in a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from salpcc.stages.residual_code.lossless.brotli import BROTLI
+from salpcc.stages.residual_code.lossless.bzip2 import BZIP2
+from salpcc.stages.residual_code.lossless.contract import Lossless
+from salpcc.stages.residual_code.lossless.deflate64 import DEFLATE64
+from salpcc.stages.residual_code.lossless.lz4 import LZ4
+from salpcc.stages.residual_code.lossless.lzma2 import LZMA2
+from salpcc.stages.residual_code.lossless.ppmd import PPMD
+from salpcc.stages.residual_code.lossless.zstd import ZSTD
+
+# The order is part of the format: a payload names its coder by its place here.
+CODERS: Mapping[str, Lossless] = {
+    "ppmd": PPMD,
+    "zstd": ZSTD,
+    "lz4": LZ4,
+    "bzip2": BZIP2,
+    "brotli": BROTLI,
+    "lzma2": LZMA2,
+    "deflate64": DEFLATE64,
+}
+
+__all__ = ["CODERS", "Lossless"]

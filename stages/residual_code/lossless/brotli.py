@@ -1,0 +1,33 @@
+"""Brotli, quality 3."""
+
+from __future__ import annotations
+
+import brotli
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.residual_code.lossless.contract import Lossless, checked
+
+_TITLE, _QUALITY = "Brotli", 3
+
+
+def encode(plain: bytes) -> bytes:
+    """Compress; see the contract."""
+    return bytes(brotli.compress(plain, quality=_QUALITY))
+
+
+def decode(data: bytes, size: int) -> bytes:
+    """Expand; inverse of :func:`encode`."""
+    decoder = brotli.Decompressor()
+    try:
+        plain = bytes(decoder.process(data, output_buffer_limit=size + 1))
+        while len(plain) <= size and not decoder.can_accept_more_data():
+            more = bytes(decoder.process(b"", output_buffer_limit=size + 1 - len(plain)))
+            if not more:
+                break
+            plain += more
+    except brotli.error as error:
+        raise ArchiveError(f"{_TITLE} stream is damaged") from error
+    return checked(_TITLE, plain, size)
+
+
+BROTLI = Lossless(_TITLE, f"quality {_QUALITY}", encode, decode)

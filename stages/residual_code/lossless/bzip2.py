@@ -1,0 +1,28 @@
+"""BZip2, blocks of 900 kB."""
+
+from __future__ import annotations
+
+import bz2
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.residual_code.lossless.contract import Lossless, checked
+
+_TITLE = "BZip2"
+
+
+def encode(plain: bytes) -> bytes:
+    """Compress; see the contract."""
+    return bz2.compress(plain, 9)
+
+
+def decode(data: bytes, size: int) -> bytes:
+    """Expand; inverse of :func:`encode`."""
+    decoder = bz2.BZ2Decompressor()
+    try:
+        plain = decoder.decompress(data, max_length=size + 1)
+    except (OSError, EOFError) as error:
+        raise ArchiveError(f"{_TITLE} stream is damaged") from error
+    return checked(_TITLE, plain, size)
+
+
+BZIP2 = Lossless(_TITLE, "900 kB blocks", encode, decode)

@@ -1,0 +1,28 @@
+"""Zstandard, level 3."""
+
+from __future__ import annotations
+
+import zstandard
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.residual_code.lossless.contract import Lossless, checked
+
+_TITLE, _LEVEL = "Zstandard", 3
+
+
+def encode(plain: bytes) -> bytes:
+    """Compress; see the contract."""
+    return zstandard.ZstdCompressor(level=_LEVEL).compress(plain)
+
+
+def decode(data: bytes, size: int) -> bytes:
+    """Expand; inverse of :func:`encode`."""
+    try:
+        # Not decompress(): it would allocate what the frame claims.
+        plain = zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
+    except zstandard.ZstdError as error:
+        raise ArchiveError(f"{_TITLE} stream is damaged") from error
+    return checked(_TITLE, plain, size)
+
+
+ZSTD = Lossless(_TITLE, f"level {_LEVEL}", encode, decode)
