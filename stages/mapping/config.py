@@ -1,0 +1,27 @@
+"""What a map is asked to be."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from salpcc.schemas.work import digest_of
+
+
+class MapConfig(BaseModel):
+    """Everything that decides what a map holds; nothing of where or how fast it is made. Lengths in metres."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    voxel: float = Field(0.1, ge=0.01, le=10)
+    min_range: float = Field(2.0, ge=0, description="nearer points are the own car")
+    max_range: float = Field(80.0, gt=0, le=500)
+    keep_movable: bool = Field(False, description="keep what the classes call movable")
+    carve: bool = Field(True, description="take out what several scans look through")
+    fill: bool = Field(False, description="close small holes in the ground, as class SYNTHETIC")
+    tile: float = Field(50.0, ge=5, le=1000, description="side of a tile")
+    view_every: float = Field(1.5, gt=0, description="way between the scans that carve")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of all fields."""
+        return digest_of(self.model_dump(mode="json"))

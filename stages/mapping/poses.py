@@ -1,0 +1,108 @@
+"""Poses of a drive: read KITTI's ``poses.txt``, pick those of an archive's scans, move points by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import SourceError
+
+F64 = NDArray[np.float64]
+
+# Printed with six digits, real rotations are off by 1e-6; what is off by more is no rotation.
+_ROTATION_SLACK = 1e-3
+
+
+def read_poses(path: Path) -> F64:
+    """Read sensor poses ``(N, 4, 4)`` from KITTI's camera poses and the ``calib.txt`` beside them.
+
+    KITTI gives, per frame, the left camera in the first one's frame; ``Tr`` takes the sensor to the camera. The
+    result has the sensor in its own first frame: x ahead, y left, z up. A line that is not a pose, such as
+    one with a NaN, gives a pose of NaN: it matters only to who wants that frame.
+
+    Raises:
+        SourceError: a file is missing or unreadable, a line has not 12 numbers, no ``Tr``.
+    """
+    if not path.is_file():
+        raise SourceError(f"{path}: no poses there; name a KITTI poses.txt, or use --poses odometry")
+    camera = [_matrix(row, f"{path}: line {at + 1}") for at, row in enumerate(_lines(path)) if row.strip()]
+    if not camera:
+        raise SourceError(f"{path}: no pose in it; use --poses odometry")
+    to_camera = _calibration(path.with_name("calib.txt"))
+    sensor: F64 = np.linalg.inv(to_camera) @ np.array(camera) @ to_camera
+    square = np.einsum("nij,nkj->nik", sensor[:, :3, :3], sensor[:, :3, :3])
+    with np.errstate(invalid="ignore"):
+        sound = np.abs(square - np.eye(3)).max(axis=(1, 2)) < _ROTATION_SLACK
+    sensor[~sound] = np.nan
+    return sensor
+
+
+def poses_of(names: Sequence[str], poses: F64, path: Path) -> F64:
+    """Pick the poses ``(len(names), 4, 4)`` of scans; the line number of a pose is its frame number.
+
+    Raises:
+        SourceError: there is no pose for a scan, or it is no pose.
+    """
+    numbers = [frame_number(name, place) for place, name in enumerate(names)]
+    for name, number in zip(names, numbers, strict=True):
+        if number >= len(poses):
+            raise SourceError(
+                f"{path}: {len(poses)} poses, none for scan {name}; name the poses of its sequence, "
+                "or use --poses odometry"
+            )
+        if not np.isfinite(poses[number]).all():
+            raise SourceError(
+                f"{path}: line {number + 1}, the pose of scan {name}, is not a pose (NaN, or no rotation); "
+                "mend it, or use --poses odometry"
+            )
+    return poses[numbers]
+
+
+def frame_number(name: str, place: int) -> int:
+    """Return the frame number of a scan: its name where that is a number, else its place in the archive."""
+    return int(name) if name.isdecimal() else place
+
+
+def move(points: NDArray[np.floating], pose: F64) -> F64:
+    """Take points ``(N, 3)`` through a pose, in float64."""
+    return np.asarray(points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3])
+
+
+def inverse(pose: F64) -> F64:
+    """Return the pose that undoes ``pose``."""
+    out = np.eye(4)
+    out[:3, :3] = pose[:3, :3].T
+    out[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return out
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="ascii").splitlines()
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path}: {error}") from error
+
+
+def _calibration(path: Path) -> F64:
+    if not path.is_file():
+        raise SourceError(f"{path}: not found; it must stand beside the poses and have a line `Tr:`")
+    for row in _lines(path):
+        if row.startswith("Tr:"):
+            matrix = _matrix(row[3:], f"{path}: Tr")
+            if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3]) - 1) > _ROTATION_SLACK:
+                raise SourceError(f"{path}: Tr is not a pose")
+            return matrix
+    raise SourceError(f"{path}: no line `Tr:`, which takes the sensor to the camera")
+
+
+def _matrix(row: str, where: str) -> F64:
+    try:
+        values = [float(value) for value in row.split()]
+    except ValueError as error:
+        raise SourceError(f"{where}: {error}") from error
+    if len(values) != 12:
+        raise SourceError(f"{where}: {len(values)} numbers, a pose has 12")
+    return np.concatenate([np.array(values).reshape(3, 4), [[0.0, 0.0, 0.0, 1.0]]])
