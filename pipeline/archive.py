@@ -20,11 +20,13 @@ from typing import Any, Self, overload
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.sweep import sweep_to_scan
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.gop import decode_any, scan_of
+from salpcc.stages.residual_code.archive_salvage import Salvage
+from salpcc.stages.residual_code.gop import decode_gop
 
 
-def decode_scans(reader: ArchiveReader, gop: int) -> Iterator[Scan]:
+def decode_scans(reader: ArchiveReader | Salvage, gop: int) -> Iterator[Scan]:
     """Decode the scans of one GOP, one after the other.
 
     Raises:
@@ -32,7 +34,7 @@ def decode_scans(reader: ArchiveReader, gop: int) -> Iterator[Scan]:
     """
     payloads = reader.payloads(gop)
     sensor = reader.facts.sensor
-    sweeps = iter(decode_any((payload.data for payload in payloads), sensor))
+    sweeps = iter(decode_gop((payload.data for payload in payloads), sensor))
     for payload in payloads:
         try:
             sweep = next(sweeps)
@@ -41,7 +43,7 @@ def decode_scans(reader: ArchiveReader, gop: int) -> Iterator[Scan]:
         except ArchiveError as error:
             raise ArchiveError(f"{reader.path}: scan {payload.entry.name}: {error}") from error
         sweep = replace(sweep, name=payload.entry.name, time=payload.time, frame_id=payload.frame_id)
-        yield scan_of(sweep, sensor)
+        yield sweep_to_scan(sweep, sensor)
 
 
 class Archive:

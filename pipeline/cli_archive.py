@@ -1,4 +1,4 @@
-"""``decode``, ``verify``, ``inspect``: what one does with archives."""
+"""``decode``, ``verify``, ``recover``, ``inspect``: what one does with archives."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.cli_run import parse_frames
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.inspect import inspect as describe
+from salpcc.pipeline.recover import recover as recover_archive
 from salpcc.pipeline.verify import verify as verify_archive
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.sensor_model import load_sensor
 
 Path_ = Annotated[Path, typer.Argument(metavar="ARCHIVE", help="An archive, OUT/archives/SEQ.mcap")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout")]
@@ -29,6 +31,7 @@ def register(app: typer.Typer) -> None:
         decode
     )
     app.command(epilog="Example:  `salpcc-pipeline verify out/archives/04.mcap --against DIR`")(verify)
+    app.command(epilog="Example:  `salpcc-pipeline recover damaged.mcap --out whole.mcap`")(recover)
     app.command(epilog="Example:  `salpcc-pipeline inspect out/archives/04.mcap`")(inspect)
     unavailable = {"ignore_unknown_options": True, "allow_extra_args": True}
     app.command(name="map", hidden=True, context_settings=unavailable)(map_)
@@ -94,6 +97,28 @@ def _compared(verdict: dict[str, Any]) -> str:
         f"; against {verdict['against']}: {verdict['bit_exact_scans']} scans bit-exact, "
         f"{verdict['points_dropped']} points dropped, largest error {'-' if error is None else f'{error:g} m'}"
     )
+
+
+def recover(
+    archive: Path_,
+    out: Annotated[Path, typer.Option(help="The new archive; nothing is overwritten")],
+    sensor: Annotated[
+        str | None, typer.Option(help="Sensor model, where the one in the archive is gone")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Save every scan that is whole from a truncated or damaged archive, and name the others."""
+    found = recover_archive(archive, out, load_sensor(sensor) if sensor else None)
+    if json_:
+        typer.echo(json.dumps(found.as_dict(), indent=1))
+    else:
+        for name in found.gone:
+            typer.echo(f"GONE scan {name}")
+        for note in found.notes:
+            typer.echo(f"NOTE {note}")
+        state = "nothing is gone" if found.complete else f"{len(found.gone)} scans known to be gone"
+        typer.echo(f"{found.scans} scans recovered, {state}: {out}")
+    raise typer.Exit(0 if found.complete else 1)
 
 
 def inspect(

@@ -10,7 +10,7 @@ from typing import Any
 
 from salpcc.stages.ingest.sensor_model import SensorModel
 
-ARCHIVE_VERSION = "1.0"
+ARCHIVE_VERSION = "1.1"
 MAGIC = b"\x89MCAP0\r\n"
 TOPIC = "/points/salpcc"
 LIBRARY = "salpcc-pipeline"  # without a version: the same scans give the same bytes from any release
@@ -54,3 +54,8 @@ class ArchiveFacts:
     inputs: str
     config: dict[str, Any]
     sensor: SensorModel
+
+
+def sequence_number(name: str, place: int) -> int:
+    """The ``sequence`` of a scan's message: its name where that is a number, else ``place``, the messages before it."""
+    return int(name) % 2**32 if name.isascii() and name.isdigit() else place

@@ -32,7 +32,9 @@ from salpcc.stages.residual_code.archive import ARCHIVE_VERSION, MAGIC, ArchiveF
 
 _FOOTER_BYTES = 9 + 20
 # What a damaged record makes of itself when it is parsed.
-_PARSE_ERRORS = (EndOfFile, struct.error, ValueError, KeyError, TypeError, IndexError, OverflowError)
+_PARSE_ERRORS = (
+    EndOfFile, struct.error, ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError,
+)  # fmt: skip
 
 
 class ArchiveReader:
@@ -107,7 +109,8 @@ class ArchiveReader:
                     raise ArchiveError(f"{self.path}: ends early")
                 crc = zlib.crc32(block, crc)
                 left -= len(block)
-        if crc != self._record(self._data_end, Opcode.DATA_END).read4():
+        # The record has no checksum of its own, so all of it is compared.
+        if self._bytes(self._data_end, 13) != struct.pack("<BQI", Opcode.DATA_END, 4, crc):
             raise ArchiveError(f"{self.path}: CRC of the data section does not match, the file is damaged")
 
     def _read_index(self) -> None:
@@ -140,7 +143,7 @@ class ArchiveReader:
         self._data_end = footer.summary_start - 9 - 4
         self.facts = self._facts(metadata["salpcc"], attachments)
         index = json.loads(self._attachment(attachments["index.json"]))
-        self.gops = [tuple(_entry(row) for row in gop) for gop in index]
+        self.gops = [tuple(entry_of(row) for row in gop) for gop in index]
         full = [number for number, gop in enumerate(self.gops) if gop]
         if len(full) != len(chunks):
             raise ArchiveError(f"{self.path}: {len(chunks)} chunks for {len(full)} GOPs")
@@ -158,7 +161,7 @@ class ArchiveReader:
         except SalpccError as error:
             raise ArchiveError(f"{self.path}: {error}") from error
         config: dict[str, Any] = dict(json.loads(self._attachment(attachments["config.json"])))
-        return ArchiveFacts(_file_name(about["sequence"]), about["source"], about["inputs"], config, sensor)
+        return ArchiveFacts(file_name(about["sequence"]), about["source"], about["inputs"], config, sensor)
 
     def _attachment(self, at: AttachmentIndex) -> bytes:
         raw = self._record_bytes(at.offset, Opcode.ATTACHMENT)
@@ -185,14 +188,14 @@ class ArchiveReader:
             return stream.read(length)
 
 
-def _entry(row: list[Any]) -> ScanEntry:
+def entry_of(row: list[Any]) -> ScanEntry:
     name, *counts = row
     if not all(isinstance(n, int) and n >= 0 for n in counts):
         raise ValueError("a row of the index is not a name and counts")
-    return ScanEntry(_file_name(name), *counts)
+    return ScanEntry(file_name(name), *counts)
 
 
-def _file_name(name: object) -> str:
+def file_name(name: object) -> str:
     """Refuse a name that could lead out of the folder that a user decodes to."""
     if not isinstance(name, str) or name in ("", ".", "..") or re.search(r"[/\\\x00]", name):
         raise ValueError(f"{name!r} cannot name a file")

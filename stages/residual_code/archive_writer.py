@@ -45,7 +45,21 @@ from salpcc.stages.residual_code.archive import (
     TOPIC,
     ArchiveFacts,
     ScanPayload,
+    sequence_number,
 )
+
+
+def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION) -> Message:
+    """The message of one scan; ``place`` is the number of messages before it."""
+    cloud = CloudMessage(
+        payload.time,
+        payload.frame_id,
+        payload.entry.kept,
+        payload.data,
+        format=f"salpcc/{version}",
+        is_dense=payload.entry.strays == 0,
+    )
+    return Message(1, payload.time, cloud.to_cdr(), payload.time, sequence_number(payload.entry.name, place))
 
 
 class ArchiveWriter:
@@ -60,6 +74,7 @@ class ArchiveWriter:
         self._attachments: list[McapRecord] = []
         self._metadata: list[McapRecord] = []
         self._times: list[int] = []
+        self._sequence = facts.sequence
         self._schema = Schema(1, SCHEMA_TEXT[COMPRESSED].encode(), "ros2msg", COMPRESSED)
         # The ros2 profile asks for the QoS key.
         self._channel = Channel(1, TOPIC, "cdr", {"offered_qos_profiles": ""}, 1)
@@ -83,6 +98,9 @@ class ArchiveWriter:
 
     def add_gop(self, payloads: list[ScanPayload]) -> None:
         """Write one GOP as one chunk; an empty one (all its scans failed) only holds its number."""
+        names = [payload.entry.name for payload in payloads]
+        # Before each chunk, so that what is left of a broken file can still be told by name.
+        self._attach("gop.json", {"gop": len(self._index), "scans": names, "sequence": self._sequence})
         self._index.append([astuple(payload.entry) for payload in payloads])
         if not payloads:
             return
@@ -90,17 +108,7 @@ class ArchiveWriter:
         offsets = []
         for payload in payloads:
             offsets.append((payload.time, builder.count))
-            message = CloudMessage(
-                payload.time,
-                payload.frame_id,
-                payload.entry.kept,
-                payload.data,
-                format=f"salpcc/{ARCHIVE_VERSION}",
-                is_dense=payload.entry.strays == 0,
-            )
-            name = payload.entry.name
-            number = int(name) % 2**32 if name.isascii() and name.isdigit() else len(self._times)
-            Message(1, payload.time, message.to_cdr(), payload.time, number).write(builder)
+            message_of(payload, len(self._times)).write(builder)
             self._times.append(payload.time)
         data = bytes(builder.end())
         first, last = min(t for t, _ in offsets), max(t for t, _ in offsets)

@@ -102,13 +102,18 @@ def pack(header: Header, streams: list[bytes]) -> Payload:
     ]  # fmt: skip
     if header.motion is not None:
         parts.append(_MOTION.pack(*header.motion))
-    sizes = dict.fromkeys(GROUPS, 0)
-    sizes["geometry"] = sum(len(part) for part in parts)
-    sizes["side"] = _CRC.size
-    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=True):
-        sizes[GROUPS[group]] += len(stream)
     body = b"".join(parts + streams)
-    return Payload(body + _CRC.pack(zlib.crc32(body)), sizes)
+    return Payload(body + _CRC.pack(zlib.crc32(body)), sizes(streams, header.motion is not None))
+
+
+def sizes(streams: list[bytes], motion: bool) -> dict[str, int]:
+    """Bytes of a payload by group."""
+    found = dict.fromkeys(GROUPS, 0)
+    found["geometry"] = _FIXED.size + motion * _MOTION.size
+    found["side"] = _CRC.size
+    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=True):
+        found[GROUPS[group]] += len(stream)
+    return found
 
 
 def unpack(data: bytes) -> tuple[Header, list[bytes]]:

@@ -85,12 +85,12 @@ def test_mcap_tools_read_it(path: Path) -> None:
             int(p.entry.name),
             20,
             p.data,
-            "salpcc/1.0",
+            "salpcc/1.1",
         )
         for gop in GOPS
         for p in gop
     ]
-    assert names == {"sensor.json", "config.json", "classes.json", "index.json"}
+    assert names == {"sensor.json", "config.json", "classes.json", "gop.json", "index.json"}
 
 
 def test_mcap_tools_seek_in_it(path: Path) -> None:

@@ -1,0 +1,95 @@
+"""Recover a damaged archive: every scan that is still whole goes to a new archive, the others are named."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from salpcc.pipeline.archive import decode_scans
+from salpcc.schemas.errors import ArchiveError, UsageError
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.residual_code.archive import ScanPayload
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive_salvage import Salvage
+from salpcc.stages.residual_code.archive_writer import write_archive
+
+
+@dataclass
+class Recovery:
+    """What came back. ``gone`` names the scans that did not; ``notes`` say what else is gone or not known."""
+
+    archive: str
+    out: str
+    sequence: str
+    scans: int = 0
+    gone: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def complete(self) -> bool:
+        """Tell whether nothing is gone."""
+        return not self.gone and not self.notes
+
+    def as_dict(self) -> dict[str, Any]:
+        """The findings as JSON, with ``complete`` first."""
+        return {"complete": self.complete, **asdict(self)}
+
+
+def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recovery:
+    """Write to ``out`` the scans of ``path`` whose checksums hold and that decode.
+
+    A whole archive comes back byte for byte. Of a broken GOP its scans before the damage come back, for
+    later ones cannot be decoded without them.
+
+    Args:
+        sensor: takes the place of a sensor model that is gone.
+
+    Raises:
+        ArchiveError: there is nothing to recover.
+        UsageError: ``out`` exists.
+    """
+    if out.exists():
+        raise UsageError(f"{out}: exists; recover writes a new file")
+    source = Salvage(path, sensor)
+    found = Recovery(str(path), str(out), source.facts.sequence, notes=list(source.notes))
+    gops = []
+    for number, names in enumerate(source.names):
+        payloads = _that_decode(source, number)
+        gops.append(payloads)
+        found.scans += len(payloads)
+        came = {payload.entry.name for payload in payloads}
+        found.gone += [name for name in names or () if name not in came]
+        if names is None:
+            found.notes.append(f"GOP {number}: which scans it held is not known, {len(came)} came back")
+    if not source.all_known:
+        last = next((payload.entry.name for gop in reversed(gops) for payload in gop[-1:]), "none")
+        found.notes.append(f"the index is gone: scans after {last} are gone, too, if there were any")
+    if not found.scans and not found.complete:
+        raise ArchiveError(f"{path}: no scan of it is whole")
+    # Without its inputs no run takes it for an archive that is finished.
+    facts = replace(source.facts, inputs=_inputs(path) if found.complete else "")
+    write_archive(out, facts, gops)
+    return found
+
+
+def _inputs(path: Path) -> str:
+    """The digest of the inputs, which only an archive without any damage is believed."""
+    try:
+        reader = ArchiveReader(path)
+        reader.check()
+    except ArchiveError:
+        return ""
+    return reader.facts.inputs
+
+
+def _that_decode(source: Salvage, gop: int) -> list[ScanPayload]:
+    """Take the scans of a GOP up to the first that does not decode."""
+    payloads = source.payloads(gop)
+    good = 0
+    try:
+        for _ in decode_scans(source, gop):
+            good += 1
+    except (ArchiveError, ValueError):
+        pass
+    return payloads[:good]

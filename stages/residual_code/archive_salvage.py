@@ -1,0 +1,181 @@
+"""See a damaged archive without its index: the scans that are whole, and the names of those that are not."""
+
+from __future__ import annotations
+
+import json
+import mmap
+import struct
+from collections import Counter
+from dataclasses import replace
+from io import BytesIO
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Metadata
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.ingest.sensor_model import SENSORS, SensorModel, load_sensor
+from salpcc.stages.residual_code.archive import (
+    ARCHIVE_VERSION,
+    ArchiveFacts,
+    ScanEntry,
+    ScanPayload,
+    sequence_number,
+)
+from salpcc.stages.residual_code.archive_carve import BROKEN, RECORD_HEAD, Place, attachments, chunks, clouds
+from salpcc.stages.residual_code.archive_reader import entry_of, file_name
+from salpcc.stages.residual_code.archive_writer import message_of
+from salpcc.stages.residual_code.payload import sizes, unpack
+
+_LEAST_GOP = 100  # bytes; so many GOPs at most lie before a byte, whatever a record claims
+
+
+class Salvage:
+    """A damaged archive; stands in for an ``ArchiveReader`` where scans are decoded.
+
+    Attributes:
+        facts: as of a reader; ``inputs`` is empty, for nothing says that it is right.
+        gops: the scans that were found, by GOP number: all of a GOP, its first ones, or none.
+        names: the scans that each GOP was written with; None where nobody knows.
+        notes: what is gone besides scans, one line each.
+        all_known: whether it is certain that ``names`` lists all there was.
+    """
+
+    def __init__(self, path: str | Path, sensor: SensorModel | None = None) -> None:
+        """Search ``path``; ``sensor`` stands in for a sensor model that is gone.
+
+        Raises:
+            ArchiveError: unreadable, no archive, or its sensor model is gone.
+        """
+        self.path = Path(path)
+        self.notes: list[str] = []
+        try:
+            with open(self.path, "rb") as stream:
+                self._data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:
+            raise ArchiveError(f"{self.path}: {error}") from error
+        self.facts = self._facts(sensor)
+        self._index = self._read_index()
+        self._rows = {entry.name: entry for gop in self._index or [] for entry in gop}
+        self._place_gops()
+        said = Counter(c.frame_id for place in self._places.values() for _, c in clouds(self._data, place))
+        self._frame_ids = {frame_id for frame_id, times in said.items() if times > 1}
+        self.gops = [tuple(p.entry for p in self.payloads(number)) for number in range(len(self.names))]
+
+    def payloads(self, gop: int) -> list[ScanPayload]:
+        """Return the scans of a GOP up to the first that is damaged."""
+        found: list[ScanPayload] = []
+        place, names = self._places.get(gop), self.names[gop]
+        if place is None:
+            return found
+        content = zip(place.messages, clouds(self._data, place), names or count(), strict=False)
+        for (start, end), (message, cloud), name in content:
+            name = name if isinstance(name, str) else f"{message.sequence:06d}"
+            try:
+                entry = self._rows.get(name) or _entry(name, cloud.data)
+                unpack(cloud.data)
+            except BROKEN:
+                break
+            payload = ScanPayload(entry, message.log_time, cloud.frame_id, cloud.data)
+            builder = RecordBuilder()
+            message_of(payload, message.sequence, self._version).write(builder)
+            same = builder.end()[RECORD_HEAD:] == self._data[start:end] and cloud.frame_id in self._frame_ids
+            if not (place.whole or same):
+                break
+            found.append(payload)
+        return found
+
+    def _facts(self, sensor: SensorModel | None) -> ArchiveFacts:
+        self._version, about = ARCHIVE_VERSION, {}
+        try:
+            at = self._data.find(struct.pack("<I", 6) + b"salpcc")
+            about = Metadata.read(
+                ReadDataStream(BytesIO(self._data[max(at, 0) : max(at, 0) + 4096]))
+            ).metadata
+            self._version = about["archive_version"]
+            newer = int(self._version.split(".")[0]) > int(ARCHIVE_VERSION.split(".")[0])
+            sequence = file_name(about["sequence"])
+        except BROKEN:
+            newer, sequence = False, self.path.stem
+            self.notes.append(f"the description of the archive is gone; taken for sequence {sequence}")
+        if newer:
+            raise ArchiveError(f"{self.path}: archive version {self._version} is newer than this tool reads")
+        config = self._only("config.json")
+        if not isinstance(config, dict):
+            self.notes.append("the configuration is gone")
+            config = {}
+        model = self._sensor(sensor, config.get("sensor_digest"))
+        return ArchiveFacts(sequence, about.get("source", "unknown"), "", config, model)
+
+    def _sensor(self, given: SensorModel | None, digest: object) -> SensorModel:
+        document = self._only("sensor.json")
+        if document is not None:
+            return SensorModel.from_json(json.dumps(document))
+        shipped = [load_sensor(path) for path in sorted(SENSORS.glob("*.json"))]
+        for model in [given, *shipped] if given else shipped:
+            if model.digest == digest or (model is given and digest is None):
+                self.notes.append(f"the sensor model is gone; {model.name} took its place")
+                return model
+        raise ArchiveError(f"{self.path}: the sensor model is gone; give the one that was used with --sensor")
+
+    def _only(self, name: str) -> Any:
+        return next((content for _, _, content in attachments(self._data, name)), None)
+
+    def _read_index(self) -> list[tuple[ScanEntry, ...]] | None:
+        try:
+            index = self._only("index.json")
+            return [tuple(entry_of(row) for row in gop) for gop in index]
+        except BROKEN:
+            return None
+
+    def _place_gops(self) -> None:
+        """Find the chunks, say which GOP each is, and which scans each GOP had."""
+        records: dict[int, tuple[int, tuple[str, ...]]] = {}  # by where its chunk starts
+        said: Counter[str] = Counter()
+        for start, end, content in attachments(self._data, "gop.json"):
+            try:
+                number, names = int(content["gop"]), tuple(file_name(name) for name in content["scans"])
+                said[str(content["sequence"])] += 1
+            except BROKEN:
+                continue
+            if 0 <= number <= start // _LEAST_GOP:
+                records[end] = number, names
+        if said and said.most_common(1)[0][0] != self.facts.sequence:
+            self.facts = replace(self.facts, sequence=file_name(said.most_common(1)[0][0]))
+            self.notes.append(f"the description of the archive is damaged; sequence {self.facts.sequence}")
+        index = dict(enumerate(tuple(entry.name for entry in gop) for gop in self._index or []))
+        known = index | dict(records.values())
+        flat = [(number, name) for number, names in index.items() for name in names]
+        by_sequence = {sequence_number(name, place): number for place, (number, name) in enumerate(flat)}
+        self._places: dict[int, Place] = {}
+        last = -1
+        for place in chunks(self._data, records):
+            first = next((message.sequence for message, _ in clouds(self._data, place)), None)
+            if first is None:
+                continue
+            last = records[place.start][0] if place.start in records else by_sequence.get(first, last + 1)
+            self._places.setdefault(last, place)
+        self.names = [known.get(number) for number in range(max([-1, *known, *self._places]) + 1)]
+        self.all_known = self._index is not None or (None not in self.names and self._is_last(last, records))
+
+    def _is_last(self, gop: int, records: dict[int, Any]) -> bool:
+        """Tell whether the index, damaged as it is, starts right after what was found last."""
+        at = max([0, *records])
+        if gop in self._places:
+            after = self._places[gop].end
+            opcode, length = struct.unpack(
+                "<BQ", self._data[after : after + RECORD_HEAD].ljust(RECORD_HEAD, b"\0")
+            )
+            at = max(at, after + RECORD_HEAD + length if opcode == Opcode.MESSAGE_INDEX else 0)
+        return self._data.find(b"index.json", at, at + 64) == at + RECORD_HEAD + 20
+
+
+def _entry(name: str, data: bytes) -> ScanEntry:
+    """Count again what the lost index said of a scan."""
+    header, streams = unpack(data)
+    kept = header.returns + header.strays
+    of_group = sizes(streams, header.motion is not None)
+    return ScanEntry(name, header.n_points, kept, header.n_points - kept, header.strays, **of_group)
