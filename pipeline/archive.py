@@ -20,10 +20,9 @@ from typing import Any, Self, overload
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import sweep_to_scan
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_salvage import Salvage
-from salpcc.stages.residual_code.gop import decode_gop
+from salpcc.stages.residual_code.gop import decode_any, scan_of
 
 
 def decode_scans(reader: ArchiveReader | Salvage, gop: int) -> Iterator[Scan]:
@@ -34,7 +33,7 @@ def decode_scans(reader: ArchiveReader | Salvage, gop: int) -> Iterator[Scan]:
     """
     payloads = reader.payloads(gop)
     sensor = reader.facts.sensor
-    sweeps = iter(decode_gop((payload.data for payload in payloads), sensor))
+    sweeps = iter(decode_any((payload.data for payload in payloads), sensor))
     for payload in payloads:
         try:
             sweep = next(sweeps)
@@ -43,7 +42,7 @@ def decode_scans(reader: ArchiveReader | Salvage, gop: int) -> Iterator[Scan]:
         except ArchiveError as error:
             raise ArchiveError(f"{reader.path}: scan {payload.entry.name}: {error}") from error
         sweep = replace(sweep, name=payload.entry.name, time=payload.time, frame_id=payload.frame_id)
-        yield sweep_to_scan(sweep, sensor)
+        yield scan_of(sweep, sensor)
 
 
 class Archive:
