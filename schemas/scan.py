@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.schemas.cloud import Cloud
+
 
 @dataclass(frozen=True, eq=False)
 class Scan:
@@ -22,6 +24,8 @@ class Scan:
         motion: ``(6,)`` float64 ``(v, w)``, the motion during the scan that its compensation
             used, metres and radians per turn (SENSOR_LATTICE section 2), or None if the points are
             not compensated.
+        cloud: what else its message held, where it came from a recorded log. ``intensity`` is then the
+            field of that name as float32, zeros without one.
     """
 
     name: str
@@ -31,6 +35,7 @@ class Scan:
     frame_id: str = "velodyne"
     classes: NDArray[np.uint8] | None = None
     motion: NDArray[np.float64] | None = None
+    cloud: Cloud | None = None
 
     def __len__(self) -> int:
         return len(self.points)

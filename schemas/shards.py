@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from salpcc.schemas.cloud_column import CLOUD, cloud_column, column_cloud
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
@@ -45,9 +47,10 @@ _SWEEP_FIELDS = [
     pa.field("stray_index", list_of(pa.int64()), nullable=False),
     pa.field("stray_points", list_of(pa.float32()), nullable=False),
     pa.field("stray_classes", list_of(pa.uint8())),
+    CLOUD,
 ]
 _SCALARS = ("name", "time", "frame_id", "n_points", "step", "max_error")
-_ARRAYS = {f.name: f.type for f in _SWEEP_FIELDS if f.name not in _SCALARS}
+_ARRAYS = {f.name: f.type for f in _SWEEP_FIELDS if f.name not in (*_SCALARS, "cloud")}
 
 SWEEP = pa.schema(_SWEEP_FIELDS)
 # The classes of the source points that the task dropped, KEPT where it kept them; for the report only.
@@ -114,10 +117,11 @@ def sweeps_to_table(
     """
     rows = list(sweeps)
     columns: list[pa.Array] = []
-    for field in _SWEEP_FIELDS:
+    for field in _SWEEP_FIELDS[:-1]:
         values = [getattr(sweep, field.name) for sweep in rows]
         array = list_column(values, field.type) if field.name in _ARRAYS else pa.array(values, field.type)
         columns.append(array)
+    columns.append(cloud_column(sweep.cloud for sweep in rows))
     if dropped is None:
         return pa.Table.from_arrays(columns, schema=SWEEP)
     classes = list(dropped)
@@ -181,7 +185,8 @@ def _row(table: pa.Table, row: int) -> Sweep:
     values: dict[str, Any] = {name: table.column(name)[row].as_py() for name in _SCALARS}
     values.update({name: list_array(table, name, row) for name in _ARRAYS})
     values["stray_points"] = values["stray_points"].reshape(-1, 4)
-    return Sweep(**values)
+    sweep = Sweep(**values)
+    return replace(sweep, cloud=column_cloud(table, row, len(sweep)))
 
 
 def stamp(table: pa.Table, **facts: Any) -> pa.Table:

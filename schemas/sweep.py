@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.schemas.cloud import Cloud
+
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
@@ -33,6 +35,7 @@ class Sweep:
         stray_index: ``(S,)`` int64, ascending places of the strays among the kept points in file order.
         stray_points: ``(S, 4)`` float32, x, y, z, intensity of the strays.
         stray_classes: ``(S,)`` uint8 or None.
+        cloud: what else the scan's message held, rows in file order of the kept points, or None.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Sweep:
     stray_index: NDArray[np.int64]
     stray_points: NDArray[np.float32]
     stray_classes: NDArray[np.uint8] | None
+    cloud: Cloud | None = None
 
     def __len__(self) -> int:
         """Number of kept points, strays included."""

@@ -48,7 +48,10 @@ def _find_motion(
         return True, None
     if len(points) < _MIN_POINTS_FOR_MOTION:
         return False, None
-    motion = solve_motion(points, start)
+    try:
+        motion = solve_motion(points, start)
+    except np.linalg.LinAlgError:  # nothing like a turn of a sensor
+        motion = None
     return motion is not None, motion
 
 
@@ -88,6 +91,7 @@ def _sweep(
         stray_index=stray,
         stray_points=np.column_stack([scan.points[stray], scan.intensity[stray]]),
         stray_classes=None if scan.classes is None else scan.classes[stray],
+        cloud=scan.cloud,
     )
 
 
@@ -158,4 +162,4 @@ def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:
         classes = np.empty(len(sweep), np.uint8)
         classes[on] = sweep.classes[order]
         classes[~on] = sweep.stray_classes
-    return Scan(sweep.name, points, intensity, sweep.time, sweep.frame_id, classes, sweep.motion)
+    return Scan(sweep.name, points, intensity, sweep.time, sweep.frame_id, classes, sweep.motion, sweep.cloud)

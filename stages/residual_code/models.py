@@ -140,6 +140,7 @@ class GopModels:
     millimetre: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
     ulp: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
     classes: NDArray[np.uint16] = field(default_factory=lambda: new_bits(class_coder.CONTEXTS))
+    envelope: bytearray = field(default_factory=bytearray)  # of the recorded message before
     _values: dict[str, ValueModels] = field(default_factory=dict)
 
     def values(self, effort: str) -> ValueModels:

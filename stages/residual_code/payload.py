@@ -27,14 +27,16 @@ STREAMS = (
     "intensity",
     "stray_intensity",
     "classes",
+    "cloud",  # only with its flag
 )
 GROUPS = ("geometry", "intensity", "classes", "side")
-_GROUP_OF_STREAM = (0, 0, 0, 0, 0, 1, 1, 2)
+_GROUP_OF_STREAM = (0, 0, 0, 0, 0, 1, 1, 2, 3)
 
-MOTION, CLASSES, FLOAT_INTENSITY = 1, 2, 4
+MOTION, CLASSES, FLOAT_INTENSITY, CLOUD = 1, 2, 4, 8
 _FIXED = struct.Struct("<BBBBIIIIddd I 8s 8I")
 _MOTION = struct.Struct("<6d")
 _CRC = struct.Struct("<I")
+_LENGTH = struct.Struct("<I")  # of the cloud stream
 _FACTS = struct.Struct("<QQd")
 MAX_POINTS = 1 << 24
 
@@ -87,21 +89,28 @@ def content_crc(sweep: Sweep) -> int:
     ):
         if array is not None:
             crc = zlib.crc32(np.ascontiguousarray(array, dtype=kind).tobytes(), crc)
+    if sweep.cloud is not None:
+        cloud = sweep.cloud
+        for part in (cloud.topic.encode(), cloud.encoding.encode(), cloud.head, cloud.tail, cloud.loose):
+            crc = zlib.crc32(part, crc)
+        crc = zlib.crc32(np.ascontiguousarray(cloud.rest).tobytes(), crc)
     return crc
 
 
 def pack(header: Header, streams: list[bytes]) -> Payload:
-    """Join header and streams (one per name in STREAMS)."""
+    """Join header and streams (one per name in STREAMS; the last with its flag only)."""
     parts = [
         _FIXED.pack(
             CODEC_VERSION, header.flags, EFFORTS.index(header.effort), 0,
             header.n_points, header.returns, header.strays, header.step,
             header.max_error, header.millimetre_reach, header.ulp_reach,
-            header.content_crc, header.weights, *(len(stream) for stream in streams),
+            header.content_crc, header.weights, *(len(stream) for stream in streams[:8]),
         )
     ]  # fmt: skip
     if header.motion is not None:
         parts.append(_MOTION.pack(*header.motion))
+    if header.flags & CLOUD:
+        parts.append(_LENGTH.pack(len(streams[8])))
     body = b"".join(parts + streams)
     return Payload(body + _CRC.pack(zlib.crc32(body)), sizes(streams, header.motion is not None))
 
@@ -110,8 +119,8 @@ def sizes(streams: list[bytes], motion: bool) -> dict[str, int]:
     """Bytes of a payload by group."""
     found = dict.fromkeys(GROUPS, 0)
     found["geometry"] = _FIXED.size + motion * _MOTION.size
-    found["side"] = _CRC.size
-    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=True):
+    found["side"] = _CRC.size + (len(streams) == len(STREAMS)) * _LENGTH.size
+    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=False):
         found[GROUPS[group]] += len(stream)
     return found
 
@@ -138,10 +147,15 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
             raise ArchiveError("payload is truncated")
         motion = np.array(_MOTION.unpack_from(data, position))
         position += _MOTION.size
-    lengths = fields[13:]
+    lengths = list(fields[13:])
+    if flags & CLOUD:
+        if len(data) < position + _LENGTH.size + _CRC.size:
+            raise ArchiveError("payload is truncated")
+        lengths += _LENGTH.unpack_from(data, position)
+        position += _LENGTH.size
     sound = (
         effort < len(EFFORTS)
-        and flags < 8
+        and flags < 16
         and reserved == 0
         and returns + strays <= n_points <= MAX_POINTS
         and 1 <= step < 1 << 16

@@ -21,9 +21,16 @@ from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.neighbours import ring_starts
 from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
+from salpcc.stages.residual_code.logged_scan import (
+    decode_logged,
+    encode_intensity,
+    encode_logged,
+    intensity_is_field,
+)
 from salpcc.stages.residual_code.models import GopModels
 from salpcc.stages.residual_code.payload import (
     CLASSES,
+    CLOUD,
     FLOAT_INTENSITY,
     MOTION,
     Header,
@@ -89,12 +96,18 @@ def encode_scan(
         )
     )
     levels = intensity_levels(sweep.intensity)
-    if levels is None:
+    if intensity_is_field(sweep, levels):
+        flags |= FLOAT_INTENSITY
+        streams.append(encode_intensity(sweep, sensor))
+    elif levels is None:
         flags |= FLOAT_INTENSITY
         streams.append(_run(lambda out: encode_floats(sweep.intensity, out), n))
     else:
         streams.append(_run(lambda out: values.encode_intensity(sweep, starts, levels, predicted, out), n))
-    streams.append(_run(lambda out: encode_floats(sweep.stray_points[:, 3], out), s))
+    if intensity_is_field(sweep, levels):
+        streams.append(b"")
+    else:
+        streams.append(_run(lambda out: encode_floats(sweep.stray_points[:, 3], out), s))
     if sweep.classes is not None and sweep.stray_classes is not None:
         flags |= CLASSES
         returned = _run(
@@ -103,6 +116,10 @@ def encode_scan(
         streams.append(sweep.stray_classes.tobytes() + returned)
     else:
         streams.append(b"")
+    if sweep.cloud is not None:
+        flags |= CLOUD
+        stream, sweep = encode_logged(sweep, sensor, models.envelope)
+        streams.append(stream)
     header = Header(
         flags | (MOTION if sweep.motion is not None else 0), predicted.effort, sweep.n_points, n, s, sweep.step,
         sweep.max_error, reach[0], reach[1], content_crc(sweep), values.weights, sweep.motion,
@@ -146,8 +163,9 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
         return result[0] if len(result) == 2 else result[:-1]
 
     mask, levels, millimetre, ulp, stray, intensity, stray_intensity, classes = (
-        np.frombuffer(bytearray(stream), np.uint8) for stream in streams
+        np.frombuffer(bytearray(stream), np.uint8) for stream in streams[:8]
     )
+    as_field = bool(header.flags & CLOUD and header.flags & FLOAT_INTENSITY)
     n, s = header.returns, header.strays
     laser, tick = checked(
         mask_coder.decode_mask(sensor.shift, sensor.ticks_per_turn, n, models.firing, models.mask, mask)
@@ -172,13 +190,15 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
                 )
             )
     places, points = checked(decode_strays(s, header.max_error, stray))
-    if header.flags & FLOAT_INTENSITY:
+    if as_field:
+        intensities = np.zeros(n, np.float32)
+    elif header.flags & FLOAT_INTENSITY:
         intensities = checked(decode_floats(n, intensity))
     else:
         intensities = INTENSITY_OF_LEVEL[
             checked(values.decode_intensity(starts, tick, count, header.step, intensity))
         ]
-    fourth = checked(decode_floats(s, stray_intensity))
+    fourth = np.zeros(s, np.float32) if as_field else checked(decode_floats(s, stray_intensity))
     labels = stray_labels = None
     if header.flags & CLASSES:
         if len(classes) < s:
@@ -192,6 +212,8 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
         laser, tick, count, intensities, mm_codes, ulp_codes, labels,
         places, np.column_stack([points, fourth]), stray_labels,
     )  # fmt: skip
+    if header.flags & CLOUD:
+        sweep = decode_logged(sweep, sensor, streams[8], streams[5] if as_field else None, models.envelope)
     if content_crc(sweep) != header.content_crc:
         raise ArchiveError("payload decodes to something else than was coded (checksum differs)")
     return sweep

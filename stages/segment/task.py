@@ -43,6 +43,7 @@ def keep(sweep: Sweep, sensor: SensorModel, kept: NDArray[np.bool_], stray_kept:
         stray_index=(np.cumsum(stays) - 1)[off[stray_kept]],
         stray_points=sweep.stray_points[stray_kept],
         stray_classes=None if sweep.stray_classes is None else sweep.stray_classes[stray_kept],
+        cloud=sweep.cloud and sweep.cloud.keep(stays),
     )
 
 

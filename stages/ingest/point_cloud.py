@@ -1,0 +1,109 @@
+"""A recorded point cloud message <-> a scan. No byte is lost: a scan gives its message back as it was."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.cloud import (
+    MAX_ENVELOPE,
+    Cloud,
+    Field,
+    Layout,
+    LayoutError,
+    head_length,
+    read_layout,
+    with_points,
+)
+from salpcc.schemas.scan import Scan
+
+Bytes = NDArray[np.uint8]
+
+
+def message_to_scan(raw: bytes, encoding: str, topic: str, name: str, time: int) -> Scan:
+    """Take a serialised ``sensor_msgs/PointCloud2`` apart.
+
+    float64 coordinates are rounded to float32 in ``points``; their own bytes stay in ``cloud.rest``.
+
+    Args:
+        encoding: ``cdr`` or ``ros1``.
+        time: nanoseconds at which the log has the message.
+
+    Raises:
+        LayoutError: it is not such a message, or its numbers do not fit one another.
+    """
+    layout = read_layout(raw, encoding)
+    start, n, step = head_length(layout), layout.n_points, layout.point_step
+    end = start + layout.data_length
+    if end + 1 > len(raw):
+        raise LayoutError(
+            f"it ends early: {layout.data_length} bytes of points announced, {len(raw) - start} there"
+        )
+    if len(topic.encode()) + len(raw) - layout.data_length > MAX_ENVELOPE:
+        raise LayoutError(f"it has {len(raw) - layout.data_length} bytes besides its points")
+    data = np.frombuffer(raw, np.uint8, layout.data_length, start)
+    rows, loose = data[:0].reshape(0, step), data.tobytes()
+    if n:
+        lines = data.reshape(layout.height, layout.stride)
+        rows = lines[:, : layout.width * step].reshape(n, step)
+        loose = lines[:, layout.width * step :].tobytes()
+    points = np.empty((n, 3), np.float32)
+    for axis, field in enumerate(layout.xyz):
+        points[:, axis] = _float32(rows, field, layout)
+    cloud = Cloud(topic, encoding, raw[:start], raw[end:], loose, rows[:, layout.rest])
+    slot = layout.slots[3]
+    intensity = intensity_of(cloud) if slot is None else _float32(rows, slot, layout)
+    return Scan(name, points, intensity, time, layout.frame_id, cloud=cloud)
+
+
+def scan_to_message(scan: Scan) -> bytes:
+    """Put the message of a scan together again; inverse of :func:`message_to_scan`.
+
+    Where points were dropped, the message has one row of those that are left.
+    """
+    cloud = scan.cloud
+    assert cloud is not None
+    layout = cloud.layout
+    rows = point_rows(scan)
+    if not cloud.whole:
+        return with_points(layout, cloud.head, len(scan)) + rows.tobytes() + cloud.tail
+    if not cloud.loose or not len(scan):
+        return cloud.head + rows.tobytes() + cloud.loose + cloud.tail
+    lines = rows.reshape(layout.height, -1)
+    loose = np.frombuffer(cloud.loose, np.uint8).reshape(layout.height, -1)
+    return cloud.head + np.hstack([lines, loose]).tobytes() + cloud.tail
+
+
+def point_rows(scan: Scan) -> Bytes:
+    """Return the bytes ``(N, point_step)`` of the points of a scan that has a cloud."""
+    cloud = scan.cloud
+    assert cloud is not None
+    layout = cloud.layout
+    rows = np.empty((len(scan), layout.point_step), np.uint8)
+    rows[:, layout.rest] = cloud.rest
+    for values, field in zip((*scan.points.T, scan.intensity), layout.slots, strict=True):
+        if field is not None:
+            bits = np.ascontiguousarray(values).view(np.uint32)
+            kind = ">u4" if layout.big_endian else "<u4"
+            rows[:, field.at] = bits.astype(kind).view(np.uint8).reshape(-1, 4)
+    return rows
+
+
+def intensity_of(cloud: Cloud) -> NDArray[np.float32]:
+    """Intensities ``(N,)`` of a cloud that holds them itself, rounded to float32; zeros where it has none."""
+    field = cloud.layout.intensity
+    column = next((c for c in cloud.layout.columns if field is not None and c.offset == field.offset), None)
+    if field is None or column is None or column.datatype != field.datatype:
+        return np.zeros(len(cloud.rest), np.float32)
+    return cloud.values(column).astype(np.float32)
+
+
+def _float32(rows: Bytes, field: Field, layout: Layout) -> NDArray[np.float32]:
+    """Values of a field as float32; float32 bit for bit, NaN included."""
+    kind = np.dtype("u4") if field.datatype == 7 else field.dtype
+    raw = np.ascontiguousarray(rows[:, field.at])
+    values = raw.view(kind.newbyteorder(">" if layout.big_endian else "<"))[:, 0]
+    if field.datatype == 7:
+        return values.astype(np.uint32).view(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float32)

@@ -1,0 +1,214 @@
+"""The cloud section of a payload: what a recorded message held besides its points' coordinates.
+
+The head and tail of a message hardly change from scan to scan, so they are coded against the ones before.
+The fields are coded one by one, in file order, with the decoded points known.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.schemas.cloud import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Cloud, Layout, LayoutError
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.residual_code.field_coder import Points, decode_field, encode_field
+from salpcc.stages.residual_code.range_coder import (
+    decode_bit,
+    encode_bit,
+    finish_encoder,
+    new_bits,
+    start_decoder,
+    start_encoder,
+)
+
+_WHOLE, _ROS1 = 1, 2
+_SECTION = struct.Struct("<BIIIII")  # flags, lengths of topic, head, tail, their code, the loose bytes
+
+
+def encode_cloud(
+    cloud: Cloud,
+    points: NDArray[np.float32],
+    exact: bool,
+    before: bytearray,
+) -> tuple[bytes, Cloud]:
+    """Encode what a cloud adds to the decoded points ``(N, 3)`` of a scan.
+
+    Args:
+        exact: the points are; float64 coordinates are then coded in full, else they follow the points.
+        before: the envelope of the scan before; becomes that of this scan.
+
+    Returns:
+        the section, and the cloud as it will be decoded.
+    """
+    topic = cloud.topic.encode()
+    envelope = topic + cloud.head + cloud.tail
+    code = _encode_bytes(envelope, before)
+    loose = _encode_bytes(cloud.loose, bytearray())
+    layout = cloud.layout
+    known = points_of(points, cloud)
+    flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1
+    parts = [
+        _SECTION.pack(flags, len(topic), len(cloud.head), len(cloud.tail), len(code), len(loose)),
+        code,
+        loose,
+    ]
+    columns = []
+    for field, base in _columns(layout, points):
+        values = cloud.values(field)
+        if base is not None and not exact:
+            values = base
+        else:
+            parts.append(encode_field(values, known, base))
+        columns.append(values)
+    return b"".join(parts), replace(cloud, rest=_rest(layout, columns, len(points)))
+
+
+def decode_cloud(
+    section: bytes, n_points: int, points: NDArray[np.float32], exact: bool, before: bytearray
+) -> Cloud:
+    """Inverse of :func:`encode_cloud`.
+
+    Args:
+        n_points: points of the source scan, dropped ones included.
+
+    Raises:
+        ArchiveError: the section is damaged.
+    """
+    try:
+        flags, *lengths = _SECTION.unpack_from(section)
+    except struct.error as error:
+        raise ArchiveError("payload does not decode") from error
+    n_topic, n_head, n_tail, n_code, n_loose = lengths
+    at = _SECTION.size + n_code + n_loose
+    if flags > 3 or n_topic + n_head + n_tail > MAX_ENVELOPE or at > len(section):
+        raise ArchiveError("payload does not decode")
+    code = section[_SECTION.size : _SECTION.size + n_code]
+    envelope = _decode_bytes(code, n_topic + n_head + n_tail, before)
+    head, tail = envelope[n_topic : n_topic + n_head], envelope[n_topic + n_head :]
+    cloud = Cloud(
+        envelope[:n_topic].decode("utf-8", "replace"),
+        ROS1 if flags & _ROS1 else CDR,
+        head,
+        tail,
+        b"",
+        np.empty((len(points), 0), np.uint8),
+        bool(flags & _WHOLE),
+    )
+    try:
+        layout = cloud.layout
+        layout.columns  # noqa: B018 (x, y and z may be missing)
+    except LayoutError as error:
+        raise ArchiveError(f"payload holds a message that cannot be: {error}") from error
+    sound = layout.n_points == n_points and len(points) * layout.point_step <= MAX_BYTES
+    if not sound or (cloud.whole and len(points) != n_points) or layout.numbers[3] + 4 != n_head:
+        raise ArchiveError("payload holds a message of other points")
+    if cloud.whole:
+        raw = section[at - n_loose : at]
+        cloud = replace(cloud, loose=_decode_bytes(raw, layout.loose_length, bytearray()))
+    known = points_of(points, cloud)
+    columns = []
+    for field, base in _columns(layout, points):
+        if base is not None and not exact:
+            values = base
+        else:
+            values, at = decode_field(section, at, field.dtype, known, base)
+        columns.append(values)
+    if at != len(section):
+        raise ArchiveError("payload does not decode")
+    return replace(cloud, rest=_rest(layout, columns, len(points)))
+
+
+def points_of(points: NDArray[np.float32], cloud: Cloud) -> Points:
+    """What the fields of a scan are predicted from: its decoded points ``(N, 3)``, and how they lie."""
+    layout = cloud.layout
+    return Points.of(points, layout.width if cloud.whole and layout.height > 1 else 0)
+
+
+def _columns(layout: Layout, points: NDArray[np.float32]) -> list[tuple[Any, NDArray[np.float64] | None]]:
+    """The columns of the rest, each with what it is close to: a float64 coordinate with its float32."""
+    axes = {field.offset: axis for axis, field in enumerate(layout.xyz) if field.datatype == 8}
+    return [
+        (f, points[:, axes[f.offset]].astype(np.float64) if f.offset in axes and f.datatype == 8 else None)
+        for f in layout.columns
+    ]
+
+
+def _rest(layout: Layout, columns: list[NDArray[Any]], n: int) -> NDArray[np.uint8]:
+    """Put columns together as :attr:`Cloud.rest`."""
+    rest = np.empty((n, len(layout.rest)), np.uint8)
+    for field, values in zip(layout.columns, columns, strict=True):
+        kind = field.dtype.newbyteorder(">" if layout.big_endian else "<")
+        start = int(np.searchsorted(layout.rest, field.offset))
+        bits = np.ascontiguousarray(values.astype(kind)) if kind.kind != "f" else _swapped(values, kind)
+        rest[:, start : start + kind.itemsize] = bits.view(np.uint8).reshape(n, -1)
+    return rest
+
+
+def _swapped(values: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
+    """Floats in another byte order as integers, so that no bit of a NaN changes on the way."""
+    whole = np.dtype(f"u{kind.itemsize}")
+    return np.ascontiguousarray(values).view(whole).astype(whole.newbyteorder(kind.byteorder))
+
+
+@njit(cache=True)
+def _encode(
+    now: NDArray[np.uint8], before: NDArray[np.uint8], bits: NDArray[np.uint16], out: NDArray[np.uint8]
+) -> int:
+    state = start_encoder()
+    same = 1
+    for i in range(len(now)):
+        expected = before[i] if i < len(before) else np.uint8(0)
+        hit = 1 if now[i] == expected else 0
+        encode_bit(state, out, bits, 256 + same, hit)
+        same = hit
+        node = 1
+        if hit == 0:
+            for shift in range(7, -1, -1):
+                bit = (np.int64(now[i]) >> shift) & 1
+                encode_bit(state, out, bits, node, bit)
+                node = node * 2 + bit
+    return finish_encoder(state, out)
+
+
+@njit(cache=True)
+def _decode(
+    now: NDArray[np.uint8], before: NDArray[np.uint8], bits: NDArray[np.uint16], data: NDArray[np.uint8]
+) -> bool:
+    state = start_decoder(data)
+    same = 1
+    for i in range(len(now)):
+        same = decode_bit(state, data, bits, 256 + same)
+        if same == 1:
+            now[i] = before[i] if i < len(before) else np.uint8(0)
+        else:
+            node = 1
+            for _ in range(8):
+                node = node * 2 + decode_bit(state, data, bits, node)
+            now[i] = node & 255
+        if state[3] != 0:
+            return False
+    return True
+
+
+def _encode_bytes(now: bytes, before: bytearray) -> bytes:
+    """Encode bytes against the ones before, which become these."""
+    out = np.empty(16 * len(now) + 64, np.uint8)
+    known = np.frombuffer(bytes(before), np.uint8).copy()
+    written = _encode(np.frombuffer(now, np.uint8).copy(), known, new_bits(258), out)
+    before[:] = now
+    return out[:written].tobytes()
+
+
+def _decode_bytes(code: bytes, length: int, before: bytearray) -> bytes:
+    """Inverse of :func:`_encode_bytes`."""
+    now = np.empty(length, np.uint8)
+    known = np.frombuffer(bytes(before), np.uint8).copy()
+    if not _decode(now, known, new_bits(258), np.frombuffer(bytearray(code), np.uint8)):
+        raise ArchiveError("payload does not decode")
+    before[:] = now.tobytes()
+    return now.tobytes()

@@ -1,0 +1,70 @@
+"""What the payload of a recorded message adds to that of a bare scan: the cloud, and its intensities.
+
+Intensities that the models of a known sensor do not cover are a field like any other, in file order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.sweep import Sweep
+from salpcc.stages.ingest.point_cloud import intensity_of
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.sweep import source_places, sweep_to_scan
+from salpcc.stages.residual_code.cloud_coder import decode_cloud, encode_cloud, points_of
+from salpcc.stages.residual_code.field_coder import decode_field, encode_field
+
+
+def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
+    """Tell whether intensities are coded here; ``levels``: as the sensor's own models take them, or None."""
+    if sweep.cloud is None:
+        return False
+    return levels is None or len(sweep.laser) == 0 or sweep.cloud.layout.slots[3] is None
+
+
+def encode_intensity(sweep: Sweep, sensor: SensorModel) -> bytes:
+    """Encode float32 intensities as a field; nothing where they are in the cloud anyway."""
+    assert sweep.cloud is not None
+    if sweep.cloud.layout.slots[3] is None:
+        return b""
+    scan = sweep_to_scan(sweep, sensor)
+    return encode_field(scan.intensity, points_of(scan.points, sweep.cloud))
+
+
+def encode_logged(sweep: Sweep, sensor: SensorModel, before: bytearray) -> tuple[bytes, Sweep]:
+    """Encode the cloud of a sweep; return the stream, and the sweep as it will be decoded."""
+    assert sweep.cloud is not None
+    points = sweep_to_scan(sweep, sensor).points
+    stream, cloud = encode_cloud(sweep.cloud, points, sweep.max_error == 0, before)
+    return stream, replace(sweep, cloud=cloud)
+
+
+def decode_logged(
+    sweep: Sweep, sensor: SensorModel, stream: bytes, intensity: bytes | None, before: bytearray
+) -> Sweep:
+    """Return a decoded sweep with its cloud; inverse of :func:`encode_logged` and :func:`encode_intensity`.
+
+    Args:
+        intensity: the intensities' stream where they are coded here.
+
+    Raises:
+        ArchiveError: a stream is damaged.
+    """
+    points = sweep_to_scan(sweep, sensor).points
+    cloud = decode_cloud(stream, sweep.n_points, points, sweep.max_error == 0, before)
+    sweep = replace(sweep, cloud=cloud)
+    if intensity is None:
+        return sweep
+    if cloud.layout.slots[3] is None:
+        values = intensity_of(cloud)
+    else:
+        values, end = decode_field(intensity, 0, np.dtype(np.float32), points_of(points, cloud))
+        if end != len(intensity):
+            raise ArchiveError("payload does not decode")
+    on, off = source_places(sweep, sensor)
+    strays = np.column_stack([sweep.stray_points[:, :3], values[off]])
+    return replace(sweep, intensity=values[on], stray_points=strays)
