@@ -18,6 +18,7 @@ from mcap.records import Metadata
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.ingest.sensor_model import SENSORS, SensorModel, load_sensor
+from salpcc.stages.residual_code import grid_payload, payload
 from salpcc.stages.residual_code.archive import (
     ARCHIVE_VERSION,
     ArchiveFacts,
@@ -28,7 +29,6 @@ from salpcc.stages.residual_code.archive import (
 from salpcc.stages.residual_code.archive_carve import BROKEN, RECORD_HEAD, Place, attachments, chunks, clouds
 from salpcc.stages.residual_code.archive_reader import entry_of, file_name
 from salpcc.stages.residual_code.archive_writer import message_of
-from salpcc.stages.residual_code.payload import sizes, unpack
 
 _LEAST_GOP = 100  # bytes; so many GOPs at most lie before a byte, whatever a record claims
 
@@ -75,17 +75,16 @@ class Salvage:
         for (start, end), (message, cloud), name in content:
             name = name if isinstance(name, str) else f"{message.sequence:06d}"
             try:
-                entry = self._rows.get(name) or _entry(name, cloud.data)
-                unpack(cloud.data)
+                entry = _entry(name, cloud.data)
             except BROKEN:
                 break
-            payload = ScanPayload(entry, message.log_time, cloud.frame_id, cloud.data)
+            scan = ScanPayload(self._rows.get(name, entry), message.log_time, cloud.frame_id, cloud.data)
             builder = RecordBuilder()
-            message_of(payload, message.sequence, self._version).write(builder)
+            message_of(scan, message.sequence, self._version).write(builder)
             same = builder.end()[RECORD_HEAD:] == self._data[start:end] and cloud.frame_id in self._frame_ids
             if not (place.whole or same):
                 break
-            found.append(payload)
+            found.append(scan)
         return found
 
     def _facts(self, sensor: SensorModel | None) -> ArchiveFacts:
@@ -174,8 +173,12 @@ class Salvage:
 
 
 def _entry(name: str, data: bytes) -> ScanEntry:
-    """Count again what the lost index said of a scan."""
-    header, streams = unpack(data)
-    kept = header.returns + header.strays
-    of_group = sizes(streams, header.motion is not None)
-    return ScanEntry(name, header.n_points, kept, header.n_points - kept, header.strays, **of_group)
+    """Count again what the lost index said of a scan; what was lost to the grid counts as dropped."""
+    if data[:1] == bytes([grid_payload.GRID_CODEC]):
+        grid, streams = grid_payload.unpack(data)
+        n_points, kept, strays, coded = grid.n_points, grid.returns, 0, grid_payload.pack(grid, streams)
+    else:
+        header, streams = payload.unpack(data)
+        n_points, strays, coded = header.n_points, header.strays, payload.pack(header, streams)
+        kept = header.returns + strays
+    return ScanEntry(name, n_points, kept, n_points - kept, strays, **coded.sizes)
