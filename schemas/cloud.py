@@ -154,6 +154,8 @@ class Cloud:
 
     Attributes:
         topic: that the message came on.
+        delay: nanoseconds from the time that the log has it to its publish time.
+        sequence: number that the log gives it.
         encoding: ``cdr`` or ``ros1``.
         head, tail: bytes of the message before and after the points.
         loose: bytes between the rows, row by row; empty where points were dropped.
@@ -168,6 +170,8 @@ class Cloud:
     loose: bytes
     rest: NDArray[np.uint8]
     whole: bool = True
+    delay: int = 0
+    sequence: int = 0
 
     @property
     def layout(self) -> Layout:

@@ -21,6 +21,8 @@ CLOUD = pa.field(
             pa.field("loose", pa.large_binary(), nullable=False),
             pa.field("rest", pa.large_binary(), nullable=False),
             pa.field("whole", pa.bool_(), nullable=False),
+            pa.field("delay", pa.int64(), nullable=False),
+            pa.field("sequence", pa.int64(), nullable=False),
         ]
     ),
 )

@@ -19,6 +19,8 @@ class ScanRef:
         path: the points.
         time: nanoseconds since the start of the log.
         labels: the ``.label`` file, or None where there is none.
+        topic, at: of a message in a log: its topic, and its place as the log tells it.
+        digest: of the log's bytes, so that they are not read for every message.
     """
 
     name: str
@@ -26,6 +28,9 @@ class ScanRef:
     path: str
     time: int
     labels: str | None = None
+    topic: str = ""
+    at: tuple[int, ...] = ()
+    digest: str = ""
 
 
 @dataclass(frozen=True)

@@ -15,23 +15,24 @@ from salpcc.schemas.cloud import (
     read_layout,
     with_points,
 )
+from salpcc.schemas.log import LogMessage
 from salpcc.schemas.scan import Scan
 
 Bytes = NDArray[np.uint8]
 
 
-def message_to_scan(raw: bytes, encoding: str, topic: str, name: str, time: int) -> Scan:
+def message_to_scan(message: LogMessage, encoding: str, topic: str, name: str) -> Scan:
     """Take a serialised ``sensor_msgs/PointCloud2`` apart.
 
     float64 coordinates are rounded to float32 in ``points``; their own bytes stay in ``cloud.rest``.
 
     Args:
         encoding: ``cdr`` or ``ros1``.
-        time: nanoseconds at which the log has the message.
 
     Raises:
         LayoutError: it is not such a message, or its numbers do not fit one another.
     """
+    raw = message.data
     layout = read_layout(raw, encoding)
     start, n, step = head_length(layout), layout.n_points, layout.point_step
     end = start + layout.data_length
@@ -50,10 +51,14 @@ def message_to_scan(raw: bytes, encoding: str, topic: str, name: str, time: int)
     points = np.empty((n, 3), np.float32)
     for axis, field in enumerate(layout.xyz):
         points[:, axis] = _float32(rows, field, layout)
-    cloud = Cloud(topic, encoding, raw[:start], raw[end:], loose, rows[:, layout.rest])
+    rest = rows[:, layout.rest]
+    delay = message.publish_time - message.log_time
+    cloud = Cloud(
+        topic, encoding, raw[:start], raw[end:], loose, rest, delay=delay, sequence=message.sequence
+    )
     slot = layout.slots[3]
     intensity = intensity_of(cloud) if slot is None else _float32(rows, slot, layout)
-    return Scan(name, points, intensity, time, layout.frame_id, cloud=cloud)
+    return Scan(name, points, intensity, message.log_time, layout.frame_id, cloud=cloud)
 
 
 def scan_to_message(scan: Scan) -> bytes:

@@ -27,6 +27,7 @@ from salpcc.stages.residual_code.range_coder import (
 )
 
 _WHOLE, _ROS1 = 1, 2
+_NUMBERS = struct.Struct("<qI")
 _SECTION = struct.Struct("<BIIIII")  # flags, lengths of topic, head, tail, their code, the loose bytes
 
 
@@ -46,7 +47,7 @@ def encode_cloud(
         the section, and the cloud as it will be decoded.
     """
     topic = cloud.topic.encode()
-    envelope = topic + cloud.head + cloud.tail
+    envelope = _NUMBERS.pack(cloud.delay, cloud.sequence) + topic + cloud.head + cloud.tail
     code = _encode_bytes(envelope, before)
     loose = _encode_bytes(cloud.loose, bytearray())
     layout = cloud.layout
@@ -88,7 +89,9 @@ def decode_cloud(
     if flags > 3 or n_topic + n_head + n_tail > MAX_ENVELOPE or at > len(section):
         raise ArchiveError("payload does not decode")
     code = section[_SECTION.size : _SECTION.size + n_code]
-    envelope = _decode_bytes(code, n_topic + n_head + n_tail, before)
+    envelope = _decode_bytes(code, _NUMBERS.size + n_topic + n_head + n_tail, before)
+    delay, sequence = _NUMBERS.unpack_from(envelope)
+    envelope = envelope[_NUMBERS.size :]
     head, tail = envelope[n_topic : n_topic + n_head], envelope[n_topic + n_head :]
     cloud = Cloud(
         envelope[:n_topic].decode("utf-8", "replace"),
@@ -98,6 +101,8 @@ def decode_cloud(
         b"",
         np.empty((len(points), 0), np.uint8),
         bool(flags & _WHOLE),
+        delay,
+        sequence,
     )
     try:
         layout = cloud.layout

@@ -37,6 +37,7 @@ _FIXED = struct.Struct("<BBBBIIIIddd I 8s 8I")
 _MOTION = struct.Struct("<6d")
 _CRC = struct.Struct("<I")
 _LENGTH = struct.Struct("<I")  # of the cloud stream
+_CLOUD = struct.Struct("<qIB")
 _FACTS = struct.Struct("<QQd")
 MAX_POINTS = 1 << 24
 
@@ -91,6 +92,7 @@ def content_crc(sweep: Sweep) -> int:
             crc = zlib.crc32(np.ascontiguousarray(array, dtype=kind).tobytes(), crc)
     if sweep.cloud is not None:
         cloud = sweep.cloud
+        crc = zlib.crc32(_CLOUD.pack(cloud.delay, cloud.sequence, cloud.whole), crc)
         for part in (cloud.topic.encode(), cloud.encoding.encode(), cloud.head, cloud.tail, cloud.loose):
             crc = zlib.crc32(part, crc)
         crc = zlib.crc32(np.ascontiguousarray(cloud.rest).tobytes(), crc)

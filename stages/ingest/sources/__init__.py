@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from salpcc.stages.ingest.sources.bag import Bag
 from salpcc.stages.ingest.sources.base import Source
 from salpcc.stages.ingest.sources.kitti_raw import KittiRaw
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
@@ -11,4 +12,5 @@ SOURCES: dict[str, Source] = {
     "semantickitti": SemanticKitti(),
     "kitti_raw": KittiRaw(),
     "simulated": Simulated(),
+    "bag": Bag(),
 }

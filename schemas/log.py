@@ -1,0 +1,53 @@
+"""A recorded log: channels of messages, as MCAP has them; bags of ROS 1 and 2 are told in the same words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/PointCloud2")
+
+
+@dataclass(frozen=True)
+class LogChannel:
+    """What is the same for all messages of a channel; the fields are those of MCAP's Channel and Schema."""
+
+    id: int
+    topic: str
+    encoding: str
+    type: str
+    schema_encoding: str
+    schema: bytes
+    metadata: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def holds_clouds(self) -> bool:
+        """Tell whether its messages are point clouds that we read."""
+        return self.type in CLOUD_TYPES and self.encoding in ("cdr", "ros1")
+
+
+@dataclass(frozen=True)
+class LogMessage:
+    """A message as it is recorded; times in nanoseconds, ``at`` the place by which its log finds it again."""
+
+    channel: int
+    log_time: int
+    publish_time: int
+    sequence: int
+    data: bytes
+    at: tuple[int, ...] = ()
+
+
+class Log(Protocol):
+    """A log that can be read more than once; every failure is a SourceError that names the file."""
+
+    channels: dict[int, LogChannel]
+
+    def messages(self, channels: set[int] | None = None) -> Iterator[LogMessage]:
+        """Yield the messages of some channels (None: all) in the order of the file."""
+        ...
+
+    def message(self, topic: str, time: int, at: tuple[int, ...]) -> LogMessage:
+        """Read the message of a topic at a place that :meth:`messages` told."""
+        ...

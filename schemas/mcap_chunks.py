@@ -1,0 +1,105 @@
+"""Records of MCAP files that nobody vouches for: no length is believed before it is checked."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from typing import BinaryIO
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.records import Chunk
+
+MAX_RECORD = 1 << 28  # bytes of a record, of a chunk compressed or not: two point clouds of the largest kind
+HEAD = struct.Struct("<BQ")
+# What a damaged record makes of itself when it is parsed.
+PARSE_ERRORS = (
+    EndOfFile, struct.error, ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError,
+    RuntimeError, zstandard.ZstdError,
+)  # fmt: skip
+
+
+def stream(content: bytes) -> ReadDataStream:
+    """Give bytes to the readers of :mod:`mcap.records`."""
+    return ReadDataStream(BytesIO(content))
+
+
+def top_records(file: BinaryIO, size: int, start: int) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, start of the content and length of each record of a file from ``start`` on.
+
+    Raises:
+        ValueError: a record ends outside the file.
+    """
+    at = start
+    while at + HEAD.size <= size:
+        file.seek(at)
+        opcode, length = HEAD.unpack(file.read(HEAD.size))
+        at += HEAD.size
+        if at + length > size:
+            raise ValueError(f"ends early: the record at byte {at - HEAD.size} is cut off")
+        yield opcode, at, length
+        at += length
+
+
+def records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Yield opcode, place and content of the records of a chunk.
+
+    Raises:
+        ValueError: a record ends outside.
+    """
+    at = 0
+    while at < len(data):
+        opcode, length = HEAD.unpack_from(data, at)
+        start = at + HEAD.size
+        if start + length > len(data):
+            raise ValueError("a record of a chunk ends outside it")
+        yield opcode, at, data[start : start + length]
+        at = start + length
+
+
+def read_chunk(file: BinaryIO, at: int, length: int) -> bytes:
+    """Read the records of the chunk whose content is at ``at``, decompressed and checked by its CRC.
+
+    Raises:
+        ValueError: it is larger than MAX_RECORD, damaged, or compressed in an unknown way.
+    """
+    if length > MAX_RECORD:
+        raise ValueError(f"the chunk at byte {at} has {length} bytes, more than {MAX_RECORD} are not read")
+    file.seek(at)
+    chunk = Chunk.read(stream(file.read(length)))
+    data = decompress(chunk.compression, bytes(chunk.data), chunk.uncompressed_size)
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError(f"the chunk at byte {at} is damaged (CRC differs)")
+    return data
+
+
+def decompress(compression: str, data: bytes, size: int) -> bytes:
+    """Decompress to ``size`` bytes and never more; inverse of :func:`compress` among others.
+
+    Raises:
+        ValueError: it gives other than ``size`` bytes, or ``size`` is more than MAX_RECORD.
+    """
+    if size > MAX_RECORD:
+        raise ValueError(f"a chunk claims {size} bytes, more than {MAX_RECORD} are not read")
+    if compression == "zstd":
+        # A frame of no content is no frame for some writers.
+        reader = zstandard.ZstdDecompressor(max_window_size=MAX_RECORD).stream_reader(data)
+        plain = reader.read(size + 1) if size else b""
+    elif compression == "lz4":
+        plain = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
+    elif compression == "":
+        plain = data
+    else:
+        raise ValueError(f"compression {compression} is not known")
+    if len(plain) != size:
+        raise ValueError(f"a chunk gives other than its {size} bytes")
+    return plain
+
+
+def compress(data: bytes) -> bytes:
+    """Compress by zstd."""
+    return zstandard.ZstdCompressor(level=3, write_checksum=False).compress(data)

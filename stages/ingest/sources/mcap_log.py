@@ -1,0 +1,140 @@
+"""MCAP files as logs: every channel, whatever its encoding, with all four facts of a message.
+
+Read here and not by a ROS library, so that publish times, sequence numbers and channels of no ROS type
+come through. Works on files without an index or without chunks, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Message, Schema
+
+from salpcc.schemas.errors import SourceError
+from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.mcap_chunks import (
+    HEAD,
+    MAX_RECORD,
+    PARSE_ERRORS,
+    read_chunk,
+    records,
+    stream,
+    top_records,
+)
+
+_MAGIC = b"\x89MCAP0\r\n"
+_OF_DATA = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+
+
+class McapLog:
+    """One or more MCAP files, one after the other; channels that tell the same are one."""
+
+    def __init__(self, files: list[Path]) -> None:
+        """Read the channels.
+
+        Raises:
+            SourceError: a file is unreadable, truncated, damaged or no MCAP file.
+        """
+        self.files = files
+        self.channels: dict[int, LogChannel] = {}
+        self._ids: list[dict[int, int]] = [{} for _ in files]  # of ours, by the file's own
+        self._schemas: list[dict[int, Schema]] = [{} for _ in files]
+        for number in range(len(files)):
+            for _ in self._walk(number, None):
+                pass
+
+    def messages(self, channels: set[int] | None = None) -> Iterator[LogMessage]:
+        """Yield the messages of some channels (None: all) in the order of the files."""
+        for number in range(len(self.files)):
+            yield from self._walk(number, set(self.channels) if channels is None else channels)
+
+    def message(self, topic: str, time: int, at: tuple[int, ...]) -> LogMessage:
+        """Read the message at a place that :meth:`messages` told."""
+        number, start, within = at
+        path = self.files[number]
+        try:
+            with open(path, "rb") as file:
+                file.seek(start - HEAD.size)
+                _, length = HEAD.unpack(file.read(HEAD.size))
+                if within < 0:
+                    content = file.read(min(length, MAX_RECORD))
+                else:
+                    data = _chunk(path, path.stat().st_mtime_ns, start, length)
+                    _, inner = HEAD.unpack_from(data, within)
+                    content = data[within + HEAD.size : within + HEAD.size + inner]
+            return self._message(number, content, at)
+        except OSError as error:
+            raise SourceError(f"{path}: {error.strerror or error}") from error
+        except PARSE_ERRORS as error:
+            raise SourceError(f"{path}: {topic} at {time}: damaged ({error})") from error
+
+    def _walk(self, number: int, wanted: set[int] | None) -> Iterator[LogMessage]:
+        """Go through a file; without ``wanted`` only for its channels."""
+        path = self.files[number]
+        try:
+            size = path.stat().st_size
+            with open(path, "rb") as file:
+                if file.read(len(_MAGIC)) != _MAGIC:
+                    raise SourceError(f"{path}: not an MCAP file")
+                ended = False
+                for opcode, at, length in top_records(file, size, len(_MAGIC)):
+                    ended = ended or opcode == Opcode.DATA_END
+                    if ended or opcode not in _OF_DATA:
+                        continue
+                    if opcode == Opcode.CHUNK:
+                        for inner, within, content in records(read_chunk(file, at, length)):
+                            yield from self._record(number, inner, content, (number, at, within), wanted)
+                        continue
+                    if length > MAX_RECORD:
+                        raise ValueError(f"the record at byte {at} has {length} bytes")
+                    file.seek(at)
+                    yield from self._record(number, opcode, file.read(length), (number, at, -1), wanted)
+                if not ended:
+                    raise ValueError("ends early: no end of its data; `mcap recover` mends it")
+        except OSError as error:
+            raise SourceError(f"{path}: {error.strerror or error}") from error
+        except PARSE_ERRORS as error:
+            raise SourceError(f"{path}: {error}") from error
+
+    def _record(
+        self, number: int, opcode: int, content: bytes, at: tuple[int, ...], wanted: set[int] | None
+    ) -> Iterator[LogMessage]:
+        if opcode == Opcode.MESSAGE:
+            if wanted is not None and self._ids[number].get(int.from_bytes(content[:2], "little")) in wanted:
+                yield self._message(number, content, at)
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream(content))
+            self._schemas[number][schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            self._add(number, Channel.read(stream(content)))
+
+    def _add(self, number: int, channel: Channel) -> None:
+        schema = Schema(0, b"", "", "")
+        if channel.schema_id:
+            schema = self._schemas[number][channel.schema_id]
+        facts = (
+            channel.topic, channel.message_encoding, schema.name, schema.encoding, bytes(schema.data),
+            tuple(sorted(channel.metadata.items())),
+        )  # fmt: skip
+        new = LogChannel(len(self.channels) + 1, *facts)
+        same = next((known for known in self.channels.values() if replace(new, id=known.id) == known), new)
+        self.channels[same.id] = same
+        self._ids[number][channel.id] = same.id
+
+    def _message(self, number: int, content: bytes, at: tuple[int, ...]) -> LogMessage:
+        message = Message.read(stream(content), len(content))
+        return LogMessage(
+            self._ids[number][message.channel_id], message.log_time, message.publish_time, message.sequence,
+            bytes(message.data), at,
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=2)
+def _chunk(path: Path, changed: int, at: int, length: int) -> bytes:
+    """The records of a chunk; the messages of a topic often share one."""
+    with open(path, "rb") as file:
+        return read_chunk(file, at, length)
