@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -51,6 +53,10 @@ def sequences(
     ] = None,
     keep_movable: Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")] = False,
     labels: Annotated[Labels, typer.Option(help="From the network, or from .label files")] = "network",
+    weights: Annotated[str, typer.Option(help="Of the network: a shipped width, or a file")] = "small",
+    several_scans: Annotated[
+        bool, typer.Option(help="Let the scans of a group settle their classes together")
+    ] = True,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
     effort: Annotated[Effort, typer.Option(help="How hard to search for fewer bits")] = "default",
     coder: Annotated[
@@ -71,12 +77,20 @@ def sequences(
     ],
     keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,
     baselines: Annotated[str, typer.Option(help="all | none | NAME,NAME")] = "none",
+    tmc3: Annotated[
+        Path | None,
+        typer.Option(help="MPEG's program, for baselines tmc13… on this machine [default: on the PATH]"),
+    ] = None,
     device: Annotated[str, typer.Option(help="cpu | cuda, for the networks")] = "cpu",
     json_: Annotated[bool, typer.Option("--json", help="Print report.json to stdout")] = False,
 ) -> None:
     """Encode sequences of scans, decode them again, measure, report."""
     if source not in SOURCES:
         raise UsageError(f"--source {source}: choose from {', '.join(SOURCES)}")
+    if tmc3 is not None:
+        if shutil.which(tmc3) is None:
+            raise UsageError(f"--tmc3 {tmc3}: no program there")
+        os.environ["SALPCC_TMC3"] = str(tmc3.resolve())  # the workers of this machine inherit it
     entry = _manifest(manifest).sources.get(source)
     if root is None and entry is not None:
         root = entry.root
@@ -90,6 +104,8 @@ def sequences(
         max_error=max_error,
         keep_movable=keep_movable,
         labels=labels,
+        weights=weights,
+        several_scans=several_scans,
         effort=effort,
         coder=coder,
         gop=gop,

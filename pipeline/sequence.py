@@ -25,6 +25,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import list_array
 from salpcc.schemas.work import GopSource, ScanRef, ShardRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
+from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.apart import measure_scans
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
@@ -186,7 +187,7 @@ def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
     """
     store = ShardStore(out)
     scans = [[ref.name, file_digest(ref.path)] for ref in gop.scans]
-    digest = digest_of("baseline", name, VERSIONS["evaluate"], scans)
+    digest = digest_of("baseline", name, VERSIONS["evaluate"], scans, BASELINES[name].missing())
     ref = store.ref(gop.sequence, f"baseline-{name}", gop.number, digest)
     result = GopResult(digest, digest, (("baseline", ref),))
     if not store.has(ref) or redo:

@@ -96,6 +96,7 @@ def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_
             ["other way round"],
         ),
         (["run", "sequences", "04", "--root", ".", "--baselines", "magic"], ["magic", "xz"]),
+        (["run", "sequences", "04", "--root", ".", "--tmc3", "nowhere/tmc3"], ["--tmc3", "no program"]),
         (["run", "sequences", "04", "--root", ".", "--manifest", "no.yaml"], ["no.yaml"]),
         (["run", "log", "x.bag", "--topic", "/points"], ["not in this version"]),
         (["map", "a.mcap", "--out", "m"], ["not in this version"]),

@@ -15,6 +15,7 @@ of the report and nothing else.
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -68,13 +69,16 @@ class Baseline:
     """One codec: what it is called, what it needs, what it promises, and its two functions."""
 
     title: str
-    packages: tuple[str, ...]  # import names beyond the product's own dependencies
+    packages: tuple[str, ...]  # beyond the product's own dependencies, by the name that imports and installs them
     promise: Promise
     encode: Callable[[Points, float], bytes]
     decode: Callable[[bytes], Points]
     program: str | None = None  # that must be on the PATH
     group: Group | None = None  # where scans are predicted from each other
     geometry: Callable[[bytes], int] | None = None  # bytes of its data that are geometry, where they tell
+    own_seconds: Callable[[], float | None] | None = (
+        None  # CPU time of its last call, where its program tells
+    )
 
     def together(self) -> Group:
         """Give the codec as one of groups; one that knows single scans takes them one at a time."""
@@ -88,12 +92,17 @@ class Baseline:
 
     def missing(self) -> str | None:
         """Say what it lacks on this machine, or None where it can run."""
-        if self.program is not None and shutil.which(self.program) is None:
+        if self.program is not None and find_program(self.program) is None:
             return f"{self.program} not found"
         absent = [package for package in self.packages if find_spec(package) is None]
         if absent:
-            return f"{', '.join(absent)} missing, pip install 'salpcc-pipeline[baselines]'"
+            return f"{', '.join(absent)} not installed, pip install {' '.join(absent)}"
         return None
+
+
+def find_program(name: str) -> str | None:
+    """Return the path of a program: what ``SALPCC_NAME`` in the environment says, else what is on the PATH."""
+    return shutil.which(os.environ.get(f"SALPCC_{name.upper()}") or name)
 
 
 def quantize(points: NDArray[Any], step: float) -> NDArray[np.int64]:

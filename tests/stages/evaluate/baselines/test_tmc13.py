@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.contract import NotPossible
+from salpcc.stages.evaluate.baselines.measure import measure
 from salpcc.stages.evaluate.baselines.tmc13 import from_ply, to_ply
 
 POINTS = np.array([[1.0, -2.0, 0.5], [-70.25, 3.0, -1.75]], np.float32)
@@ -22,6 +24,7 @@ if asked["mode"] == "0":
     shutil.copy(asked["uncompressedDataPath"], asked["compressedStreamPath"])
 else:
     shutil.copy(asked["compressedStreamPath"], asked["reconstructedDataPath"])
+print("positions processing time (user): 0.5 s\\n\\nProcessing time (wall): 9 s\\nProcessing time (user): 1.25 s")
 """
 
 
@@ -41,6 +44,22 @@ def test_points_go_through_the_program_and_back(
     baseline = BASELINES[name]
     assert baseline.missing() is None
     assert np.array_equal(baseline.decode(baseline.encode(POINTS, 0.125)), POINTS)
+
+
+def test_the_time_is_what_the_program_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    put(tmp_path, COPY, monkeypatch)
+    scan = Scan("000000", POINTS, np.zeros(2, np.float32))
+    (row,) = measure("tmc13", BASELINES["tmc13"], [scan], "00", 0.125)
+    assert row["status"] == "ok" and row["encode_ms"] == row["decode_ms"] == 1250
+
+
+def test_the_program_may_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    put(tmp_path, COPY, monkeypatch)
+    (tmp_path / "tmc3").rename(tmp_path / "tmc3-v23")
+    assert BASELINES["tmc13"].missing()
+    monkeypatch.setenv("SALPCC_TMC3", str(tmp_path / "tmc3-v23"))
+    assert BASELINES["tmc13"].missing() is None
+    assert len(BASELINES["tmc13"].encode(POINTS, 0.125)) > len(POINTS)
 
 
 def test_what_the_program_says_when_it_fails_is_passed_on(
