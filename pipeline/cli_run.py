@@ -98,7 +98,7 @@ def sequences(
         raise UsageError(
             f"--root is missing: where are the scans? {SOURCES[source].hint}. Or try it without data: --source simulated"
         )
-    config = _config(
+    config = config_of(
         source=source,
         profile=profile,
         max_error=max_error,
@@ -121,18 +121,12 @@ def sequences(
         root=root,
         workers=workers,
         scheduler=scheduler,
-        graph=_stages(from_stage, to_stage, keep_shards),
+        graph=stages_of(from_stage, to_stage, keep_shards),
         command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
     )
     result = run_sequences(request)
-    _show(result, out, json_)
+    show(result, out, json_)
     raise typer.Exit(1 if result.failed else 0)
-
-
-@app.command(hidden=True, context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
-def log() -> None:
-    """Encode ROS bags and MCAP logs (not in this version)."""
-    raise UsageError("run log is not in this version yet; `run sequences` reads KITTI layouts")
 
 
 def _manifest(path: Path) -> Manifest:
@@ -150,7 +144,8 @@ def parse_frames(text: str | None) -> tuple[int, int] | None:
     return int(match[1] or 0), int(match[2] or UNBOUNDED)
 
 
-def _config(**values: object) -> RunConfig:
+def config_of(**values: object) -> RunConfig:
+    """Check options, named as in the configuration."""
     try:
         return RunConfig.model_validate(values)
     except ValidationError as error:
@@ -159,7 +154,8 @@ def _config(**values: object) -> RunConfig:
         raise UsageError(f"--{option}: {first['msg']}") from error
 
 
-def _stages(first: str | None, last: str, keep: bool) -> GraphOptions:
+def stages_of(first: str | None, last: str, keep: bool) -> GraphOptions:
+    """Check how far a run goes."""
     for option, stage in (("--from", first), ("--to", last)):
         if stage is not None and stage not in STAGES:
             raise UsageError(f"{option} {stage}: choose from {', '.join(STAGES)}")
@@ -168,7 +164,8 @@ def _stages(first: str | None, last: str, keep: bool) -> GraphOptions:
     return GraphOptions(first or STAGES[0], last, first is not None, keep)
 
 
-def _show(result: RunResult, out: Path, json_: bool) -> None:
+def show(result: RunResult, out: Path, json_: bool) -> None:
+    """Print what a run gave."""
     for error in result.errors:
         STDERR.print(f"failed: {error.sequence}/{error.scan}: {error.reason}", soft_wrap=True, markup=False)
     if result.report is None:

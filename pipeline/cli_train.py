@@ -10,6 +10,7 @@ import typer
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.config import Effort
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.manifest import expand_sequences
 
 app = typer.Typer(help="Train a network on recorded scans.", no_args_is_help=True)
 
@@ -36,6 +37,63 @@ def coder(
     model = load_sensor(sensor)
     for path in train_coder(read_sweeps(data, model), model, out, effort, log=STDERR.print):
         typer.echo(f"weights: {path}")
+
+
+@app.command(
+    epilog="Examples:  `salpcc-pipeline train segment --data DIR`  ·  `… --score small` (score what ships)"
+)
+def segment(
+    data: Annotated[Path, typer.Option(help="Root in SemanticKITTI layout, with labels")],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and training.csv")] = Path(
+        "weights"
+    ),
+    width: Annotated[str, typer.Option(help="small | paper")] = "small",
+    hold_out: Annotated[str, typer.Option(help="Sequences to score on and never to train on")] = "06",
+    steps: Annotated[int, typer.Option(min=1, help="Optimiser steps")] = 5000,
+    batch: Annotated[int, typer.Option(min=1, help="Crops in a step")] = 8,
+    rate: Annotated[float, typer.Option(help="Peak learning rate")] = 2e-3,
+    seed: Annotated[int, typer.Option(help="Of weights and crops")] = 0,
+    every: Annotated[int, typer.Option(min=1, help="Steps between checkpoints and scores")] = 250,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that make crops")] = 1,
+    device: Annotated[str, typer.Option(help="cpu | cuda")] = "cpu",
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in --out")] = False,
+    score: Annotated[
+        str | None, typer.Option(metavar="WEIGHTS", help="Do not train, score these on --hold-out")
+    ] = None,
+) -> None:
+    """Train the segmentation network on labelled scans, or score it."""
+    from salpcc.stages.segment.checkpoint import load_weights
+    from salpcc.stages.segment.network import WIDTHS
+    from salpcc.stages.segment.training.labelled import list_labelled
+    from salpcc.stages.segment.training.loop import Recipe, train_segment
+    from salpcc.stages.segment.training.score import score_table
+    from salpcc.stages.segment.weights_file import weights_path
+
+    check_data(data)
+    if width not in WIDTHS:
+        raise UsageError(f"--width {width}: choose from {', '.join(WIDTHS)}")
+    check_device(device)
+    names = expand_sequences(hold_out) if hold_out else []
+    held_out = list_labelled(data, names) if names else []
+    if score is not None:
+        network, _ = load_weights(weights_path(score))
+        for line in score_table(network.to(device), held_out, device):
+            typer.echo(line)
+        return
+    recipe = Recipe(width, steps, batch, rate, seed=seed, workers=workers, every=every)
+    refs = list_labelled(data, leave_out=names)
+    path = train_segment(refs, held_out, out, recipe, device, resume, log=STDERR.print)
+    typer.echo(f"weights: {path}; use them with --weights {path}")
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that is not here."""
+    import torch
+
+    if device not in ("cpu", "cuda"):
+        raise UsageError(f"--device {device}: choose from cpu, cuda")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("--device cuda: torch sees no GPU here; use --device cpu")
 
 
 def check_data(data: Path) -> None:

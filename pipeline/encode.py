@@ -20,6 +20,7 @@ from salpcc.stages.residual_code import stage as residual_code
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive_writer import write_archive
 from salpcc.stages.segment import stage as segment
+from salpcc.stages.segment.weights_file import weights_digest, weights_path
 
 
 def encode_scans(scans: Iterable[Scan], path: str | Path, sequence: str = "scans", **options: Any) -> Path:
@@ -42,8 +43,15 @@ def encode_scans(scans: Iterable[Scan], path: str | Path, sequence: str = "scans
 
 
 def resolve(config: RunConfig) -> RunConfig:
-    """Fill in what the names in a configuration stand for: the digest of the sensor model."""
-    return config.model_copy(update={"sensor_digest": load_sensor(config.sensor).digest})
+    """Fill in what the names in a configuration stand for: the digests of the sensor model and of the weights.
+
+    Raises:
+        SalpccError: one of them is not there.
+    """
+    known = {"sensor_digest": load_sensor(config.sensor).digest}
+    if config.uses_network:
+        known["weights_digest"] = weights_digest(weights_path(config.weights))
+    return config.model_copy(update=known)
 
 
 def payloads_of(table: pa.Table) -> list[ScanPayload]:

@@ -159,9 +159,6 @@ def _gather(
 def _notes(config: RunConfig) -> list[str]:
     """What a reader of the report must know."""
     notes = []
-    if config.labels == "network":
-        notes.append(
-            "labels: the segmentation network is not part of this version; a geometric fallback splits ground "
-            "from other and drops nothing"
-        )
+    if config.labels == "network" and config.keep_movable:
+        notes.append("labels: nothing is dropped, so no network was asked; ground is split off by geometry")
     return notes

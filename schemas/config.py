@@ -44,7 +44,11 @@ class RunConfig(BaseModel):
     sensor_digest: str = Field(
         "", description="digest of the model that the name stood for; filled in by the run"
     )
+    weights: str = Field("small", description="of the segmentation network: a shipped width, or a file")
+    weights_digest: str = Field("", description="digest of the weights; filled in by the run")
+    several_scans: bool = Field(True, description="whether the scans of a GOP settle their classes together")
     frames: tuple[int, int] | None = Field(None, description="frame numbers, first and one past the last")
+    topics: tuple[str, ...] = Field((), description="of point clouds in a log; none is all")
     baselines: tuple[str, ...] = ()
     device: Literal["cpu", "cuda"] = "cpu"
 
@@ -55,6 +59,11 @@ class RunConfig(BaseModel):
         return self
 
     @property
+    def uses_network(self) -> bool:
+        """Whether the run asks the segmentation network: only what may be dropped has to be known."""
+        return self.labels == "network" and not self.keep_movable
+
+    @property
     def accuracy(self) -> float:
         """Metres per level of the paper profile's grid."""
         return self.max_error or GRID_ACCURACY
@@ -62,7 +71,8 @@ class RunConfig(BaseModel):
     @property
     def coding(self) -> dict[str, object]:
         """The fields that decide archive bytes, by name; stored in every archive."""
-        skip = {"source", "frames", "baselines", "device", "sensor"}
+        skip = {"source", "frames", "topics", "baselines", "device", "sensor", "weights"}
+        skip |= set() if self.uses_network else {"weights_digest", "several_scans"}
         skip |= {"effort"} if self.profile == "paper" else {"coder"}
         return {k: v for k, v in self.model_dump(mode="json").items() if k not in skip}
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
@@ -13,33 +11,25 @@ from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.shards import KEPT, sweeps_to_table, table_to_sweeps
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
-from salpcc.stages.ingest.sweep import source_places, sweep_to_scan
-from salpcc.stages.segment.geometric import split_ground
+from salpcc.stages.ingest.sweep import source_places
+from salpcc.stages.segment.labelling import label_gop
 from salpcc.stages.segment.task import keep, quantise
 from salpcc.stages.segment.to_grid import to_grid
 
-VERSION = 2
+VERSION = 3
 
 
 def run(table: pa.Table, config: RunConfig) -> pa.Table:
     """Turn a SWEEP table into a TASK table (profile ``paper``: a GRID_TASK table)."""
     sensor = load_sensor(config.sensor)
     sweeps, dropped = [], []
-    for sweep in table_to_sweeps(table):
-        labelled = sweep if sweep.classes is not None else label(sweep, sensor)
+    for labelled in label_gop(table_to_sweeps(table), sensor, config):
         task = labelled if config.keep_movable else drop_movable(labelled, sensor)
         dropped.append(None if config.keep_movable else dropped_classes(labelled, sensor))
         exact = config.max_error is None or config.profile == "paper"
         sweeps.append(task if exact else quantise(task, sensor, config.max_error))
     tasks = sweeps_to_table(sweeps, dropped)
     return to_grid(tasks, sensor, config) if config.profile == "paper" else tasks
-
-
-def label(sweep: Sweep, sensor: SensorModel) -> Sweep:
-    """Return the sweep with classes from the geometric split."""
-    classes = split_ground(sweep_to_scan(sweep, sensor).points)
-    on, off = source_places(sweep, sensor)
-    return replace(sweep, classes=classes[on], stray_classes=classes[off])
 
 
 def drop_movable(sweep: Sweep, sensor: SensorModel) -> Sweep:

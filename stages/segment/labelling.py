@@ -1,0 +1,68 @@
+"""Label the sweeps of a GOP with the network, or the ground alone by geometry where nothing may be dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.sweep import Sweep
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.sweep import source_places, sweep_to_scan
+from salpcc.stages.segment.geometric import split_ground
+from salpcc.stages.segment.weights_file import weights_path
+
+_LONGEST_STEP = 250_000_000  # nanoseconds between scans that a turn's motion connects
+
+
+def label_gop(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -> list[Sweep]:
+    """Return the sweeps with classes; those that have labels already keep them.
+
+    Raises:
+        WeightsError: the network is asked and its weights cannot be had.
+    """
+    if all(sweep.classes is not None for sweep in sweeps):
+        return list(sweeps)
+    if not config.uses_network:
+        return [
+            sweep
+            if sweep.classes is not None
+            else with_classes(sweep, sensor, split_ground(sweep_to_scan(sweep, sensor).points))
+            for sweep in sweeps
+        ]
+    return _by_network(sweeps, sensor, config)
+
+
+def _by_network(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -> list[Sweep]:
+    # Imported here: a process that asks no network has no use for torch's hundred megabytes.
+    from salpcc.stages.segment.checkpoint import load_cached
+    from salpcc.stages.segment.segmenter import segment_scan
+    from salpcc.stages.segment.several_scans import agree
+
+    network = load_cached(weights_path(config.weights), config.device)
+    scans = [sweep_to_scan(sweep, sensor) for sweep in sweeps]
+    found = [segment_scan(network, scan.points, scan.intensity, config.device) for scan in scans]
+    if config.several_scans:
+        found = agree(found, step_motions(sweeps))
+    return [
+        sweep if sweep.classes is not None else with_classes(sweep, sensor, one.labels(scan.points))
+        for sweep, scan, one in zip(sweeps, scans, found, strict=True)
+    ]
+
+
+def with_classes(sweep: Sweep, sensor: SensorModel, classes: NDArray[np.uint8]) -> Sweep:
+    """Give a sweep the classes ``(N,)`` of its points, which are in file order."""
+    on, off = source_places(sweep, sensor)
+    return replace(sweep, classes=classes[on], stray_classes=classes[off])
+
+
+def step_motions(sweeps: Sequence[Sweep]) -> list[NDArray[np.float64] | None]:
+    """Return per sweep the motion that carries the one before into it, None where it does not (gaps, raw scans)."""
+    motions: list[NDArray[np.float64] | None] = [None] * len(sweeps)
+    for k in range(1, len(sweeps)):
+        if 0 < sweeps[k].time - sweeps[k - 1].time < _LONGEST_STEP:
+            motions[k] = sweeps[k].motion
+    return motions

@@ -1,0 +1,230 @@
+"""The training loop: Adam, one cosine cycle, an average of the weights, checkpoints that resume."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save_file
+
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.labels import CLASSES
+from salpcc.schemas.work import ScanRef
+from salpcc.stages.segment.checkpoint import save_weights
+from salpcc.stages.segment.network import N_CLASSES, WIDTHS, SegmentNetwork
+from salpcc.stages.segment.point_branch import PointTensors
+from salpcc.stages.segment.training.labelled import sequence_of
+from salpcc.stages.segment.training.losses import segmentation_loss
+from salpcc.stages.segment.training.samples import Batch, SampleConfig, Samples, loader
+from salpcc.stages.segment.training.score import count_scans, scores
+
+Log = Callable[[str], None]
+
+_FOLLOW = 0.998  # share of the average that stays at each step
+_WARM_UP = 0.03  # share of the steps
+# Share of the points of each class in SemanticKITTI (its own statistics, classes 1 to 19).
+_SHARES = (
+    4.26e-2, 1.7e-4, 4.0e-4, 1.96e-3, 2.3e-3, 3.4e-4, 1.3e-4, 4e-5, 1.99e-1, 1.47e-2,
+    1.44e-1, 3.9e-3, 1.33e-1, 7.2e-2, 2.67e-1, 6.0e-3, 7.8e-2, 2.9e-3, 6.2e-4,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How the network is trained.
+
+    Attributes:
+        width: key of :data:`~salpcc.stages.segment.network.WIDTHS`.
+        steps, batch: optimiser steps, crops in each.
+        rate: peak learning rate. The paper trains at 5e-4 for 40,000 epochs; for thousands of steps more is better.
+        betas: of Adam, the paper's.
+        decay: weight decay (AdamW).
+        seed: of the weights and the crops.
+        workers: processes that make crops.
+        every: steps between checkpoints, scores and lines of the log.
+        samples: how crops are made.
+    """
+
+    width: str = "small"
+    steps: int = 6000
+    batch: int = 8
+    rate: float = 2e-3
+    betas: tuple[float, float] = (0.9, 0.99)
+    decay: float = 0.01
+    seed: int = 0
+    workers: int = 1
+    every: int = 250
+    samples: SampleConfig = field(default_factory=SampleConfig)
+
+
+def class_weights() -> torch.Tensor:
+    """Weights ``(19,)`` by the root of the inverse share, mean 1 over the points."""
+    weights = torch.tensor(_SHARES).rsqrt().clamp(max=30.0)
+    assert len(weights) == N_CLASSES < len(CLASSES)
+    return weights / (weights * torch.tensor(_SHARES)).sum()
+
+
+class Trainer:
+    """One training: its network, the average of its weights, its optimiser."""
+
+    def __init__(self, recipe: Recipe, refs: Sequence[ScanRef], device: str = "cpu") -> None:
+        torch.manual_seed(recipe.seed)
+        self.recipe = recipe
+        self.refs = list(refs)
+        self.device = device
+        self.step = 0
+        self.network = SegmentNetwork(WIDTHS[recipe.width]).to(device, memory_format=torch.channels_last)
+        self.average = {k: v.detach().clone() for k, v in self.network.state_dict().items()}
+        self.optimiser = torch.optim.AdamW(
+            self.network.parameters(), recipe.rate, recipe.betas, weight_decay=recipe.decay
+        )
+        self.weights = class_weights().to(device)
+
+    def rate(self) -> float:
+        """Learning rate of the coming step: a short warm-up, then a cosine down to 1 %."""
+        share = (self.step + 1) / self.recipe.steps
+        if share < _WARM_UP:
+            return self.recipe.rate * share / _WARM_UP
+        turn = math.pi * (share - _WARM_UP) / (1.0 - _WARM_UP)
+        return self.recipe.rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(min(turn, math.pi))))
+
+    def take_step(self, batch: Batch) -> float:
+        """Take one step and return its loss."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.rate()
+        self.network.train()
+        sets = PointTensors(
+            *(
+                [t.to(self.device) for t in p] if isinstance(p, list) else p.to(self.device)
+                for p in batch.sets
+            )
+        )
+        with torch.autocast(self.device, torch.bfloat16):
+            logits = self.network(batch.features.to(self.device), sets)
+        loss = segmentation_loss(logits, batch.targets.to(self.device), self.weights)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
+        self.optimiser.step()
+        self.step += 1
+        follow = min(_FOLLOW, self.step / (self.step + 20))
+        for name, value in self.network.state_dict().items():
+            if value.is_floating_point():
+                self.average[name].lerp_(value.detach(), 1.0 - follow)
+        return loss.item()
+
+    def averaged(self) -> SegmentNetwork:
+        """Return a network with the averaged weights, ready to label."""
+        network = SegmentNetwork(self.network.config)
+        network.load_state_dict(self.average)
+        return network.eval().to(self.device, memory_format=torch.channels_last)
+
+    def save(self, path: Path) -> None:
+        """Write what :meth:`resume` needs."""
+        tensors = {f"network.{k}": v for k, v in self.network.state_dict().items()}
+        tensors |= {f"average.{k}": v for k, v in self.average.items()}
+        for number, state in self.optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser.{number}.{k}": torch.as_tensor(v) for k, v in state.items()}
+        facts = {"step": str(self.step), "recipe": json.dumps(asdict(self.recipe), sort_keys=True)}
+        part = path.with_suffix(".part")
+        save_file({k: v.detach().clone().contiguous() for k, v in tensors.items()}, str(part), facts)
+        part.replace(path)
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint.
+
+        Raises:
+            UsageError: it is not there, or of another recipe.
+        """
+        if not path.is_file():
+            raise UsageError(f"--resume: {path} is not there; train without --resume first")
+        from safetensors import safe_open
+
+        with safe_open(str(path), "pt") as file:
+            facts = file.metadata() or {}
+        if facts.get("recipe") != json.dumps(asdict(self.recipe), sort_keys=True):
+            raise UsageError(
+                f"{path}: a checkpoint of another recipe; use the same options, or another --out"
+            )
+        tensors = load_file(str(path), self.device)
+        part = lambda head: {k[len(head) :]: v for k, v in tensors.items() if k.startswith(head)}
+        self.network.load_state_dict(part("network."))
+        self.average = part("average.")
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, value in part("optimiser.").items():
+            number, key = name.split(".", 1)
+            state.setdefault(int(number), {})[key] = value
+        groups = self.optimiser.state_dict()["param_groups"]
+        self.optimiser.load_state_dict({"state": state, "param_groups": groups})
+        self.step = int(facts["step"])
+
+
+def train_segment(
+    refs: Sequence[ScanRef],
+    held_out: Sequence[ScanRef],
+    out: Path,
+    recipe: Recipe,
+    device: str = "cpu",
+    resume: bool = False,
+    log: Log = print,
+) -> Path:
+    """Train on labelled scans and return the path of the weights: ``OUT/segment_WIDTH.safetensors``.
+
+    ``OUT/training.csv`` has the loss and, where scans are held out, their scores; ``OUT/checkpoint.safetensors``
+    is what ``resume`` goes on from.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    trainer = Trainer(recipe, refs, device)
+    checkpoint = out / "checkpoint.safetensors"
+    if resume:
+        trainer.resume(checkpoint)
+    weights = out / f"segment_{recipe.width}.safetensors"
+    # Crops are not replayed after a resume: another seed draws new ones.
+    samples = Samples(
+        trainer.refs, trainer.network.config, recipe.batch, recipe.seed + 1000 * trainer.step, recipe.samples
+    )
+    batches = loader(samples, recipe.workers)
+    sequences = sorted({sequence_of(ref) for ref in refs})
+    log(f"{len(trainer.refs)} scans of {', '.join(sequences)}; {len(held_out)} held out; step {trainer.step}")
+    losses: list[float] = []
+    begun = time.monotonic()
+    while trainer.step < recipe.steps:
+        losses.append(trainer.take_step(next(batches)))
+        if trainer.step % recipe.every and trainer.step != recipe.steps:
+            continue
+        row: dict[str, float] = {
+            "step": trainer.step,
+            "rate": trainer.rate(),
+            "loss": sum(losses) / len(losses),
+        }
+        row["seconds"] = time.monotonic() - begun
+        network = trainer.averaged()
+        if held_out:
+            row |= scores(count_scans(network, held_out, device))
+        facts: dict[str, object] = {
+            "sequences": sequences,
+            "scans": len(refs),
+            "recipe": asdict(recipe),
+            **row,
+        }
+        trainer.save(checkpoint)
+        save_weights(weights, network.state_dict(), network.config, facts)
+        _append(out / "training.csv", row)
+        log("  ".join(f"{k} {v:.4g}" for k, v in row.items()))
+        losses = []
+    return weights
+
+
+def _append(path: Path, row: dict[str, float]) -> None:
+    new = not path.exists()
+    with path.open("a", newline="") as stream:
+        writer = csv.DictWriter(stream, list(row))
+        if new:
+            writer.writeheader()
+        writer.writerow(row)

@@ -1,0 +1,149 @@
+"""The endless stream of augmented crops that the network is trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+
+from salpcc.schemas.labels import CLASSES
+from salpcc.schemas.work import ScanRef
+from salpcc.stages.segment.inputs import network_input, stack
+from salpcc.stages.segment.network import NetworkConfig
+from salpcc.stages.segment.point_branch import PointTensors
+from salpcc.stages.segment.range_image import COLUMNS, RANGE
+from salpcc.stages.segment.training.crops import Crop, cut, distort, mirror
+from salpcc.stages.segment.training.labelled import LabelledScans, sequence_of
+from salpcc.stages.segment.training.mixing import Instance, instances_of, mix, paste
+
+IGNORED = -1
+_BANK = 400  # instances kept of each class
+_LEAST_RETURNS = 500
+# Cars are plenty; of the others there are a handful each.
+_PASTE_WEIGHT = {"car": 1.0, "truck": 0.6, "other-vehicle": 0.6, "person": 0.5}
+_OTHER_WEIGHT = 0.3
+
+
+@dataclass(frozen=True)
+class SampleConfig:
+    """How crops are made.
+
+    Attributes:
+        width: columns of a crop.
+        mixed, pasted: share of crops that are mixed with another, or get instances pasted.
+        most_pasted: instances pasted into one crop at most.
+        distorted: whether crops are turned, scaled, mirrored and thinned out.
+    """
+
+    width: int = 512
+    mixed: float = 0.35
+    pasted: float = 0.7
+    most_pasted: int = 6
+    distorted: bool = True
+
+
+@dataclass(eq=False)
+class Batch:
+    """Features, point sets and targets ``(B, 64, w)`` int64 (class - 1, or -1 where there is no label)."""
+
+    features: Tensor
+    sets: PointTensors
+    targets: Tensor
+
+
+class Samples(IterableDataset[Batch]):
+    """Batches of crops, drawn by seed; each loader process draws its own."""
+
+    def __init__(
+        self,
+        refs: list[ScanRef],
+        network: NetworkConfig,
+        batch: int,
+        seed: int,
+        config: SampleConfig | None = None,
+    ) -> None:
+        super().__init__()
+        self.scans = LabelledScans(refs)
+        self.network = network
+        self.batch = batch
+        self.seed = seed
+        self.config = config or SampleConfig()
+        self._bank: dict[int, list[Instance]] = {}
+        self._banked: set[int] = set()
+        names = [sequence_of(ref) for ref in refs]
+        # Sequences weigh by the root of their length, so that no single scene rules.
+        self._weights = np.array([names.count(name) ** -0.5 for name in names])
+        self._weights /= self._weights.sum()
+
+    def __iter__(self) -> Iterator[Batch]:
+        info = get_worker_info()
+        rng = np.random.default_rng([self.seed, info.id if info else 0])
+        torch.set_num_threads(1)
+        while True:
+            yield self.draw(rng)
+
+    def draw(self, rng: np.random.Generator) -> Batch:
+        """Draw one batch."""
+        inputs, targets = [], []
+        points = self.network.n_points * self.config.width // COLUMNS
+        while len(inputs) < self.batch:
+            crop = self.crop(rng)
+            if (crop.planes[RANGE] > 0).sum() < _LEAST_RETURNS:
+                continue
+            inputs.append(network_input(crop.planes, self.network.fold, points, circular=False, rng=rng))
+            targets.append(crop.classes.astype(np.int64) - 1)
+        features, sets = stack(inputs)
+        return Batch(features, sets, torch.from_numpy(np.stack(targets)))
+
+    def crop(self, rng: np.random.Generator) -> Crop:
+        """Draw one augmented crop."""
+        crop = self._plain(rng)
+        if rng.random() < self.config.mixed:
+            crop = mix(crop, self._plain(rng), COLUMNS, rng)
+        if rng.random() < self.config.pasted:
+            self._paste(crop, rng)
+        return distort(crop, rng) if self.config.distorted else crop
+
+    def _plain(self, rng: np.random.Generator) -> Crop:
+        number = int(rng.choice(len(self.scans), p=self._weights))
+        image = self.scans[number]
+        if number not in self._banked:
+            self._banked.add(number)
+            for instance in instances_of(image):
+                kept = self._bank.setdefault(instance.label, [])
+                kept.append(instance)
+                if len(kept) > _BANK:
+                    kept.pop(int(rng.integers(len(kept))))
+        crop = cut(image, int(rng.integers(COLUMNS)), self.config.width)
+        crop = mirror(crop, COLUMNS) if self.config.distorted and rng.random() < 0.5 else crop
+        return replace(crop, planes=crop.planes.copy(), classes=crop.classes.copy())
+
+    def _paste(self, crop: Crop, rng: np.random.Generator) -> None:
+        labels = sorted(self._bank)
+        if not labels:
+            return
+        weights = np.array([_PASTE_WEIGHT.get(CLASSES[label].name, _OTHER_WEIGHT) for label in labels])
+        for _ in range(int(rng.integers(1, self.config.most_pasted + 1))):
+            kept = self._bank[labels[int(rng.choice(len(labels), p=weights / weights.sum()))]]
+            instance = kept[int(rng.integers(len(kept)))]
+            flip = bool(rng.random() < 0.5)
+            for _ in range(12):  # most columns have no room
+                if paste(crop, instance, int(rng.integers(self.config.width)), COLUMNS, flip):
+                    break
+
+
+def loader(samples: Samples, workers: int) -> Iterator[Batch]:
+    """Draw batches in ``workers`` processes beside the training (0: in this one)."""
+    return iter(
+        DataLoader(
+            samples,
+            batch_size=None,
+            num_workers=workers,
+            prefetch_factor=4 if workers else None,
+            multiprocessing_context="forkserver" if workers else None,
+        )
+    )

@@ -1,0 +1,83 @@
+"""Score a network on labelled scans: IoU per class and group, recall of movable points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, GROUPS, MOVABLE
+from salpcc.schemas.work import ScanRef
+from salpcc.stages.evaluate.confusion import UNLABELLED, confusion, intersection_over_union, mean_iou
+from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
+from salpcc.stages.segment.network import SegmentNetwork
+from salpcc.stages.segment.segmenter import label_points
+from salpcc.stages.segment.training.labelled import sequence_of
+
+TERRAIN = next(i for i, c in enumerate(CLASSES) if c.name == "terrain")
+# Table I: vehicles, people and ground; the paper averages these twelve.
+TWELVE = tuple(i for i, c in enumerate(CLASSES) if c.group and c.ids)
+
+
+def count_scans(network: SegmentNetwork, refs: Iterable[ScanRef], device: str = "cpu") -> NDArray[np.int64]:
+    """Return the confusion matrix ``(21, 21)`` of all points of the scans, truth by row."""
+    counts = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
+    for ref in refs:
+        scan = SemanticKitti().read(ref, with_labels=True)
+        assert scan.classes is not None
+        found = label_points(network, scan.points, scan.intensity, device)
+        known = scan.classes != UNLABELLED
+        counts += confusion(scan.classes[known], found[known], len(CLASSES))
+    return counts
+
+
+def group_scores(counts: NDArray[np.int64], with_terrain: bool) -> dict[str, float]:
+    """IoU of the groups from class counts, with points of terrain (72) or without."""
+    rows = counts.copy()
+    if not with_terrain:
+        rows[TERRAIN] = 0
+    by_group = np.zeros((len(GROUPS), len(GROUPS)), np.int64)
+    np.add.at(by_group, (GROUP_OF_CLASS[:, None], GROUP_OF_CLASS[None, :]), rows)
+    return dict(intersection_over_union(by_group, GROUPS))
+
+
+def scores(counts: NDArray[np.int64]) -> dict[str, float]:
+    """Sum up class counts: ``movable``, ``ground``, ``other`` (terrain left out), the same with terrain, recall, mIoUs."""
+    without, whole = group_scores(counts, False), group_scores(counts, True)
+    movable = GROUP_OF_CLASS == MOVABLE
+    by_class = intersection_over_union(counts, [c.name for c in CLASSES])
+    twelve = {CLASSES[i].name: by_class[CLASSES[i].name] for i in TWELVE if CLASSES[i].name in by_class}
+    return {
+        "movable": whole.get("movable", float("nan")),
+        "ground": without.get("ground", float("nan")),
+        "other": without.get("other", float("nan")),
+        "ground_with_terrain": whole.get("ground", float("nan")),
+        "other_with_terrain": whole.get("other", float("nan")),
+        "recall_movable": float(counts[movable][:, movable].sum() / max(counts[movable].sum(), 1)),
+        "miou": mean_iou({k: v for k, v in by_class.items() if k != "unlabelled"}) or float("nan"),
+        "miou_12": mean_iou(twelve) or float("nan"),
+    }
+
+
+def score_table(network: SegmentNetwork, refs: Sequence[ScanRef], device: str = "cpu") -> Iterator[str]:
+    """Score scan by scan and yield lines of a table, the last of them for all scans together.
+
+    Each scan by itself, without what its neighbours see.
+    """
+    columns = ("movable", "ground", "other", "recall_movable", "ground_with_terrain", "other_with_terrain")
+    columns += ("miou", "miou_12")
+    yield "  ".join(["scan".ljust(12), *columns])
+    counts = []
+    for ref in refs:
+        counts.append(count_scans(network, [ref], device))
+        yield _line(f"{sequence_of(ref)}/{ref.name}", columns, counts[-1])
+    total = np.sum(counts, axis=0)
+    yield _line("all", columns, total)
+    by_class = intersection_over_union(total, [c.name for c in CLASSES])
+    yield "  ".join(f"{name} {value:.3f}" for name, value in by_class.items() if name != "unlabelled")
+
+
+def _line(name: str, columns: Sequence[str], counts: NDArray[np.int64]) -> str:
+    found = scores(counts)
+    return "  ".join([name.ljust(12), *(f"{found[c]:.4f}".rjust(len(c)) for c in columns)])
