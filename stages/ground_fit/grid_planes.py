@@ -18,7 +18,7 @@ from salpcc.stages.ground_fit.grid_regions import centres, region_image
 from salpcc.stages.ground_fit.plane import fit_plane
 from salpcc.stages.ingest.grid import LEVEL_LIMIT, directions
 
-HEIGHT_UNIT = 0.002  # metres; slopes are that over the size of the region
+HEIGHT_UNIT = 0.005  # metres; slopes are that over the size of the region
 _FEWEST = 6
 _ENOUGH = 400  # points beyond these do not move a plane
 _TRIMS = (0.1, 0.04)  # metres off the plane; a plane is fitted again to the points within

@@ -13,7 +13,7 @@ from salpcc.schemas.grid import COLUMNS, ROWS
 from salpcc.stages.ingest.grid import ELEVATION_UNIT
 from salpcc.stages.ingest.trig import PI, sin_cos
 
-SECTORS = 40
+SECTORS = 20
 RINGS = (0.0, 5.0, 6.0, 7.2, 8.6, 10.4, 12.5, 15.0, 18.0, 22.0, 28.0, 40.0)  # metres, from
 HEIGHT = 1.73  # of the sensor above level ground, metres
 REGIONS = SECTORS * len(RINGS)

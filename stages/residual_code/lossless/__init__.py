@@ -8,12 +8,13 @@ from salpcc.stages.residual_code.lossless.brotli import BROTLI
 from salpcc.stages.residual_code.lossless.bzip2 import BZIP2
 from salpcc.stages.residual_code.lossless.contract import Lossless
 from salpcc.stages.residual_code.lossless.deflate64 import DEFLATE64
+from salpcc.stages.residual_code.lossless.lizard import LIZARD
 from salpcc.stages.residual_code.lossless.lz4 import LZ4
+from salpcc.stages.residual_code.lossless.lz5 import LZ5
 from salpcc.stages.residual_code.lossless.lzma2 import LZMA2
 from salpcc.stages.residual_code.lossless.ppmd import PPMD
 from salpcc.stages.residual_code.lossless.zstd import ZSTD
 
-# The order is part of the format: a payload names its coder by its place here.
 CODERS: Mapping[str, Lossless] = {
     "ppmd": PPMD,
     "zstd": ZSTD,
@@ -22,6 +23,8 @@ CODERS: Mapping[str, Lossless] = {
     "brotli": BROTLI,
     "lzma2": LZMA2,
     "deflate64": DEFLATE64,
+    "lizard": LIZARD,
+    "lz5": LZ5,
 }
 
 __all__ = ["CODERS", "Lossless"]
