@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_scans
 from salpcc.pipeline.encode import payloads_of
+from salpcc.pipeline.logs import passing_log
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.store import ShardStore
 from salpcc.pipeline.tasks import VERSIONS, GopResult, file_digest, lost
@@ -25,7 +26,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import list_array
 from salpcc.schemas.work import GopSource, ScanRef, ShardRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
-from salpcc.stages.evaluate.baselines import BASELINES
+from salpcc.stages.evaluate.baselines import BASELINES, measure
 from salpcc.stages.evaluate.baselines.apart import measure_scans
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
@@ -95,7 +96,8 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
         _payloads(store, result, _dropped_ref(store, gop, record["inputs"]))
         for gop, result in zip(plan.gops, results, strict=True)
     )
-    write_archive(archive_path(out, plan.sequence), facts_, payloads)
+    log = passing_log(plan, {error["scan"] for error in record["errors"]}, config)
+    write_archive(archive_path(out, plan.sequence), facts_, payloads, log)
     return record
 
 
@@ -183,11 +185,13 @@ def _originals(gop: GopSource, refs: list[ScanRef]) -> Iterator[Scan | None]:
 def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
     """Measure a baseline on the scans of one GOP; the result is a BASELINES shard.
 
-    What the archive was asked for does not matter to a baseline, so its shards serve any run in ``out``.
+    What the archive was asked for does not matter to a baseline, so its shards serve any run in ``out``. One that
+    lacks its program or package is asked again by the next run.
     """
     store = ShardStore(out)
-    scans = [[ref.name, file_digest(ref.path)] for ref in gop.scans]
-    digest = digest_of("baseline", name, VERSIONS["evaluate"], scans, BASELINES[name].missing())
+    scans = [[ref.name, ref.digest or file_digest(ref.path)] for ref in gop.scans]
+    missing = BASELINES[name].missing()
+    digest = digest_of("baseline", name, measure.VERSION, scans, *([missing] if missing else []))
     ref = store.ref(gop.sequence, f"baseline-{name}", gop.number, digest)
     result = GopResult(digest, digest, (("baseline", ref),))
     if not store.has(ref) or redo:
