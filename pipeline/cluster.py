@@ -33,7 +33,8 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
     Raises:
         UsageError: the scheduler does not answer.
     """
-    logging.getLogger("distributed").setLevel(logging.ERROR)
+    # What fails comes back as the exception of a task; Dask would print its traceback besides.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout="10s")
@@ -59,7 +60,7 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
             processes=count > 0,
             memory_limit=0,
             dashboard_address="127.0.0.1:0",
-            silence_logs=logging.ERROR,
+            silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,
     ):

@@ -197,4 +197,5 @@ class Graph:
         except (KilledWorker, SalpccError):
             raise
         except OSError as error:
-            raise SalpccError(f"{error}; make room or mend it, then run the same command again") from error
+            what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+            raise SalpccError(f"{what}; make room or mend it, then run the same command again") from error
