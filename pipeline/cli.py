@@ -11,6 +11,8 @@ from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import SalpccError, UsageError
 
+_INTERRUPTED = 130  # typer's exit code for Ctrl-C
+
 app = typer.Typer(
     name="salpcc-pipeline",
     help="Recorded LiDAR scans in, compact bit-exact archives and a report out; and back again.",
@@ -45,8 +47,10 @@ def main() -> None:
         _fail(str(error), 2)
     except SalpccError as error:
         _fail(str(error), 1)
-    except KeyboardInterrupt:
-        _fail("interrupted; the same command goes on where it stopped", 1)
+    except SystemExit as end:
+        if end.code == _INTERRUPTED:
+            _fail("interrupted; the same command goes on where it stopped", 1)
+        raise
 
 
 def _fail(line: str, code: int) -> None:
