@@ -9,6 +9,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.schemas.work import GopSource, ScanError, ScanRef
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.ingest.sources.bag import Bag
 
 
 @dataclass(frozen=True)
@@ -33,19 +34,24 @@ def plan_run(
         UsageError: the root is missing, or none of the sequences is there.
     """
     source = SOURCES[config.source]
-    if not root.is_dir():
+    if not (root.is_dir() or (config.source == "bag" and root.exists())):
         raise UsageError(missing_root(root, config.source))
     plans: list[SequencePlan] = []
     missing: list[ScanError] = []
     for sequence in sequences:
         try:
-            refs = select(source.scans(root, sequence), config.frames)
+            listed = (
+                Bag().scans(root, sequence, config.topics) if config.topics else source.scans(root, sequence)
+            )
+            refs = select(listed, config.frames)
             if not refs:
                 raise SourceError(f"{root}: sequence {sequence} has no scans in the frames asked for")
         except SourceError as error:
             missing.append(ScanError(sequence, "", "ingest", str(error)))
             continue
         plans.append(SequencePlan(sequence, cut(config.source, sequence, refs, config.gop)))
+    if not plans and config.source == "bag":
+        raise UsageError(missing[0].reason)
     if not plans:
         there = ", ".join(source.sequences(root)) or "none"
         raise UsageError(
@@ -68,6 +74,11 @@ def select(refs: list[ScanRef], frames: tuple[int, int] | None) -> list[ScanRef]
 
 
 def cut(source: str, sequence: str, refs: list[ScanRef], size: int) -> tuple[GopSource, ...]:
-    """Cut a sequence into GOPs of ``size`` scans; the last may be shorter."""
-    groups = [tuple(refs[start : start + size]) for start in range(0, len(refs), size)]
+    """Cut a sequence into GOPs of ``size`` scans of one topic, by time; the last may be shorter."""
+    groups = []
+    for topic in sorted({ref.topic for ref in refs}):
+        of_topic = [ref for ref in refs if ref.topic == topic]
+        groups += [tuple(of_topic[start : start + size]) for start in range(0, len(of_topic), size)]
+    if len({ref.topic for ref in refs}) > 1:
+        groups.sort(key=lambda group: (group[0].time, group[0].topic))
     return tuple(GopSource(source, sequence, number, group) for number, group in enumerate(groups))

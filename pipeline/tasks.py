@@ -72,6 +72,9 @@ def source_digest(gop: GopSource, config: RunConfig) -> GopResult:
     """Digest all that decides what becomes of a GOP: the bytes of its files, the configuration, the code."""
     parts: list[Any] = [config.digest, {stage: VERSIONS[stage] for stage in STAGES[:-1]}]
     for ref in gop.scans:
+        if ref.digest:
+            parts.append([ref.name, ref.number, ref.time, ref.topic, ref.at, ref.digest])
+            continue
         files = [ref.path, ref.labels] if config.labels == "given" else [ref.path]
         parts.append([ref.name, ref.number, ref.time, *(file_digest(file) for file in files)])
     digest = digest_of(*parts)

@@ -12,29 +12,29 @@ from pathlib import Path
 from typing import Any
 
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
     AttachmentIndex,
+    Channel,
     Chunk,
     ChunkIndex,
     Footer,
     Message,
     Metadata,
     MetadataIndex,
+    Schema,
 )
 
 from salpcc.schemas.errors import ArchiveError, SalpccError
+from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk
 from salpcc.schemas.messages import CloudMessage
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive import ARCHIVE_VERSION, MAGIC, ArchiveFacts, ScanEntry, ScanPayload
+from salpcc.stages.residual_code.passing import passing_channel, passing_messages
 
 _FOOTER_BYTES = 9 + 20
-# What a damaged record makes of itself when it is parsed.
-_PARSE_ERRORS = (
-    EndOfFile, struct.error, ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError,
-)  # fmt: skip
 
 
 class ArchiveReader:
@@ -46,6 +46,7 @@ class ArchiveReader:
         path: the file.
         facts: sequence, source, inputs, configuration and sensor model.
         gops: the entries of the scans, by GOP number; a GOP all of whose scans failed is empty.
+        log: channels of the log that the scans were in; empty for scans that were files.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -60,7 +61,7 @@ class ArchiveReader:
             self._read_index()
         except OSError as error:
             raise ArchiveError(f"{self.path}: {error.strerror or error}") from error
-        except _PARSE_ERRORS as error:
+        except PARSE_ERRORS as error:
             raise ArchiveError(f"{self.path}: the index is damaged ({error})") from error
 
     def payloads(self, gop: int) -> list[ScanPayload]:
@@ -81,18 +82,37 @@ class ArchiveReader:
             if len(messages) != len(entries):
                 raise ArchiveError(f"{where}: {len(messages)} messages for {len(entries)} scans")
             clouds = [(m, CloudMessage.from_cdr(m.data, compressed=True)) for m in messages]
-        except _PARSE_ERRORS as error:
+        except PARSE_ERRORS as error:
             raise ArchiveError(f"{where}: damaged ({error})") from error
         return [
             ScanPayload(entry, message.log_time, cloud.frame_id, cloud.data)
             for entry, (message, cloud) in zip(entries, clouds, strict=True)
         ]
 
+    def passing(self) -> Iterator[LogMessage]:
+        """Yield the messages that passed through, in the order of the file.
+
+        Raises:
+            ArchiveError: a chunk of them is damaged.
+        """
+        for chunk in self._passing:
+            try:
+                with open(self.path, "rb") as file:
+                    data = read_chunk(file, chunk.chunk_start_offset + 9, chunk.chunk_length - 9)
+                yield from passing_messages(data, self.log)
+            except PARSE_ERRORS as error:
+                raise ArchiveError(f"{self.path}: chunk at {chunk.chunk_start_offset}: {error}") from error
+
+    @property
+    def passing_bytes(self) -> int:
+        """Bytes of the file that hold messages that passed through."""
+        return sum(chunk.chunk_length + chunk.message_index_length for chunk in self._passing)
+
     @property
     def container_bytes(self) -> int:
-        """Bytes of the file that are not payload: index, sensor model, configuration, framing."""
+        """Bytes of the file that are neither payload nor passing: index, sensor model, configuration, framing."""
         coded = (e.geometry + e.intensity + e.classes + e.side for gop in self.gops for e in gop)
-        return self.size - sum(coded)
+        return self.size - sum(coded) - self.passing_bytes
 
     def check(self) -> None:
         """Verify the CRC over everything before the summary (the summary's own was checked on opening).
@@ -128,6 +148,8 @@ class ArchiveReader:
         chunks: list[ChunkIndex] = []
         attachments: dict[str, AttachmentIndex] = {}
         metadata: dict[str, MetadataIndex] = {}
+        schemas: dict[int, Schema] = {}
+        self.log: dict[int, LogChannel] = {}
         for opcode, content in _records(summary):
             stream = ReadDataStream(BytesIO(content))
             if opcode == Opcode.CHUNK_INDEX:
@@ -138,6 +160,14 @@ class ArchiveReader:
             elif opcode == Opcode.METADATA_INDEX:
                 entry = MetadataIndex.read(stream)
                 metadata[entry.name] = entry
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                if channel.id > 1:
+                    passing = passing_channel(channel, schemas.get(channel.schema_id))
+                    self.log[passing.id] = passing
         if "salpcc" not in metadata:
             raise ArchiveError(f"{self.path}: an MCAP file, but not an archive of salpcc-pipeline")
         self._data_end = footer.summary_start - 9 - 4
@@ -145,9 +175,12 @@ class ArchiveReader:
         index = json.loads(self._attachment(attachments["index.json"]))
         self.gops = [tuple(entry_of(row) for row in gop) for gop in index]
         full = [number for number, gop in enumerate(self.gops) if gop]
+        chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
+        self._passing = [chunk for chunk in chunks if chunk.compression]
+        chunks = [chunk for chunk in chunks if not chunk.compression]
         if len(full) != len(chunks):
             raise ArchiveError(f"{self.path}: {len(chunks)} chunks for {len(full)} GOPs")
-        self._chunks = dict(zip(full, sorted(chunks, key=lambda c: c.chunk_start_offset), strict=True))
+        self._chunks = dict(zip(full, chunks, strict=True))
 
     def _facts(self, at: MetadataIndex, attachments: dict[str, AttachmentIndex]) -> ArchiveFacts:
         about = Metadata.read(self._record(at.offset, Opcode.METADATA)).metadata

@@ -37,6 +37,7 @@ from mcap.records import (
 
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, GROUPS
+from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.schemas.messages import COMPRESSED, SCHEMA_TEXT, CloudMessage
 from salpcc.stages.residual_code.archive import (
     ARCHIVE_VERSION,
@@ -47,6 +48,7 @@ from salpcc.stages.residual_code.archive import (
     ScanPayload,
     sequence_number,
 )
+from salpcc.stages.residual_code.passing import PassingLog, passing_chunk, passing_records
 
 
 def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION) -> Message:
@@ -65,7 +67,8 @@ def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION)
 class ArchiveWriter:
     """Writes an archive GOP by GOP; inverse of :class:`~salpcc.stages.residual_code.archive_reader.ArchiveReader`."""
 
-    def __init__(self, stream: BinaryIO, facts: ArchiveFacts) -> None:
+    def __init__(self, stream: BinaryIO, facts: ArchiveFacts, log: Iterable[LogChannel] = ()) -> None:
+        """Write what stands before the scans; ``log``: channels whose messages pass through as they are."""
         self._stream = stream
         self._at = 0
         self._crc = 0
@@ -74,15 +77,21 @@ class ArchiveWriter:
         self._attachments: list[McapRecord] = []
         self._metadata: list[McapRecord] = []
         self._times: list[int] = []
+        self._counts = {1: 0}
         self._sequence = facts.sequence
-        self._schema = Schema(1, SCHEMA_TEXT[COMPRESSED].encode(), "ros2msg", COMPRESSED)
+        self._schemas: list[McapRecord] = [Schema(1, SCHEMA_TEXT[COMPRESSED].encode(), "ros2msg", COMPRESSED)]
         # The ros2 profile asks for the QoS key.
-        self._channel = Channel(1, TOPIC, "cdr", {"offered_qos_profiles": ""}, 1)
+        self._channels: list[McapRecord] = [Channel(1, TOPIC, "cdr", {"offered_qos_profiles": ""}, 1)]
+        for channel in log:
+            schema, passing = passing_records(channel)
+            self._schemas += schema
+            self._channels.append(passing)
+            self._counts[passing.id] = 0
         self._put(MAGIC)
         self._record(Header("ros2", LIBRARY))
         # Everything a decoder needs stands before the first chunk, so a truncated file still decodes.
-        self._record(self._schema)
-        self._record(self._channel)
+        for record in [*self._schemas, *self._channels]:
+            self._record(record)
         described = {
             "archive_version": ARCHIVE_VERSION,
             "sequence": facts.sequence,
@@ -108,14 +117,38 @@ class ArchiveWriter:
         offsets = []
         for payload in payloads:
             offsets.append((payload.time, builder.count))
-            message_of(payload, len(self._times)).write(builder)
+            message_of(payload, self._counts[1]).write(builder)
             self._times.append(payload.time)
+            self._counts[1] += 1
         data = bytes(builder.end())
         first, last = min(t for t, _ in offsets), max(t for t, _ in offsets)
         start, length = self._record(Chunk("", data, last, first, zlib.crc32(data), len(data)))
         index_at, index_length = self._record(MessageIndex(1, offsets))
         self._chunks.append(
             ChunkIndex(length, start, "", len(data), last, index_length, {1: index_at}, first, len(data))
+        )
+
+    def pass_messages(self, messages: Iterable[LogMessage]) -> None:
+        """Write messages of the log's channels as one compressed chunk."""
+        chunk, indexes = passing_chunk(messages)
+        start, length = self._record(chunk)
+        places, index_start = {}, self._at
+        for index in indexes:
+            places[index.channel_id], _ = self._record(index)
+            self._times += [time for time, _ in index.records]
+            self._counts[index.channel_id] += len(index.records)
+        self._chunks.append(
+            ChunkIndex(
+                length,
+                start,
+                chunk.compression,
+                len(chunk.data),
+                chunk.message_end_time,
+                self._at - index_start,
+                places,
+                chunk.message_start_time,
+                chunk.uncompressed_size,
+            )
         )
 
     def finish(self) -> None:
@@ -129,18 +162,18 @@ class ArchiveWriter:
         start = self._at
         statistics = Statistics(
             attachment_count=len(self._attachments),
-            channel_count=1,
-            channel_message_counts={1: len(self._times)},
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
             chunk_count=len(self._chunks),
             message_count=len(self._times),
             message_end_time=max(self._times, default=0),
             message_start_time=min(self._times, default=0),
             metadata_count=len(self._metadata),
-            schema_count=1,
+            schema_count=len(self._schemas),
         )
         groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, [self._schema]),
-            (Opcode.CHANNEL, [self._channel]),
+            (Opcode.SCHEMA, self._schemas),
+            (Opcode.CHANNEL, self._channels),
             (Opcode.STATISTICS, [statistics]),
             (Opcode.CHUNK_INDEX, self._chunks),
             (Opcode.ATTACHMENT_INDEX, self._attachments),
@@ -181,10 +214,17 @@ class ArchiveWriter:
         self._crc = zlib.crc32(data, self._crc)
 
 
-def write_archive(path: Path, facts: ArchiveFacts, gops: Iterable[list[ScanPayload]]) -> None:
-    """Write a whole archive, atomically."""
+def write_archive(
+    path: Path, facts: ArchiveFacts, gops: Iterable[list[ScanPayload]], log: PassingLog | None = None
+) -> None:
+    """Write a whole archive, atomically; what passes through from a ``log`` stands before later scans."""
     with atomic(path) as stream:
-        writer = ArchiveWriter(stream, facts)
+        writer = ArchiveWriter(stream, facts, log.channels if log else ())
         for payloads in gops:
+            if log and payloads:
+                for messages in log.until(max(payload.time for payload in payloads)):
+                    writer.pass_messages(messages)
             writer.add_gop(payloads)
+        for messages in log.until(None) if log else ():
+            writer.pass_messages(messages)
         writer.finish()

@@ -1,0 +1,94 @@
+"""``salpcc-pipeline run log``: the main job on a recorded log."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salpcc.pipeline.cli_run import config_of, parse_frames, show, stages_of
+from salpcc.pipeline.run import RunRequest, run_sequences
+from salpcc.schemas.config import Effort
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.work import STAGES
+from salpcc.stages.evaluate.baselines import names as baseline_names
+from salpcc.stages.ingest.sources.bag import Bag
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to ``run``."""
+    app.command(
+        epilog="Examples:  `salpcc-pipeline run log drive.mcap --keep-movable`  ·  "
+        "`salpcc-pipeline run log BAG_DIR --topic /front/points --topic /rear/points --max-error 0.02`"
+    )(log)
+
+
+def log(
+    file: Annotated[Path, typer.Argument(metavar="LOG", help="NAME.mcap, a ROS 1 .bag, a ROS 2 bag folder")],
+    topic: Annotated[
+        list[str] | None, typer.Option(help="Point clouds to code, repeatable [default: all]")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Archives, report and shards go here")] = Path("out"),
+    max_error: Annotated[
+        float | None, typer.Option(help="Metres, 3-D, per point [default: bit-exact]")
+    ] = None,
+    keep_movable: Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")] = False,
+    weights: Annotated[str, typer.Option(help="Of the network: a shipped width, or a file")] = "small",
+    frames: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Clouds A to B - 1 of each topic, from 0")
+    ] = None,
+    effort: Annotated[Effort, typer.Option(help="How hard to search for fewer bits")] = "default",
+    gop: Annotated[int, typer.Option(help="Scans per group of pictures")] = 8,
+    sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")
+    ] = None,
+    from_stage: Annotated[str | None, typer.Option("--from", help=f"Redo from: {' | '.join(STAGES)}")] = None,
+    to_stage: Annotated[str, typer.Option("--to", help="Stop after this stage, keeping its shards")] = STAGES[
+        -1
+    ],
+    keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,
+    baselines: Annotated[str, typer.Option(help="all | none | NAME,NAME")] = "none",
+    device: Annotated[str, typer.Option(help="cpu | cuda, for the networks")] = "cpu",
+    json_: Annotated[bool, typer.Option("--json", help="Print report.json to stdout")] = False,
+) -> None:
+    """Encode the point clouds of a log, keep its other topics as they are, measure, report."""
+    if not file.exists():
+        raise UsageError(f"{file}: not found. {Bag.hint}")
+    names = Bag().sequences(file)
+    if not names:
+        raise UsageError(f"{file}: no log that is read here. {Bag.hint}")
+    config = config_of(
+        source=Bag.name,
+        max_error=max_error,
+        keep_movable=keep_movable,
+        weights=weights,
+        effort=effort,
+        gop=gop,
+        sensor=sensor,
+        frames=parse_frames(frames),
+        topics=tuple(topic or ()),
+        baselines=baseline_names(baselines),
+        device=device,
+    )
+    if len(names) > 1 or (file.is_dir() and not (file / "metadata.yaml").is_file()):
+        raise UsageError(f"{file}: a folder of logs; name one of {', '.join(names)}")
+    request = RunRequest(
+        config=config,
+        sequences=names,
+        out=out,
+        root=file,
+        workers=workers,
+        scheduler=scheduler,
+        graph=stages_of(from_stage, to_stage, keep_shards),
+        command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
+    )
+    result = run_sequences(request)
+    show(result, out, json_)
+    raise typer.Exit(1 if result.failed else 0)
