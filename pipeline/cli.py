@@ -6,7 +6,7 @@ import sys
 
 import typer
 
-from salpcc.pipeline import cli_archive, cli_data, cli_run, cli_train
+from salpcc.pipeline import cli_archive, cli_data, cli_log, cli_run, cli_train
 from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import SalpccError, UsageError
@@ -22,6 +22,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+cli_log.register(cli_run.app)
 app.add_typer(cli_run.app, name="run")
 app.add_typer(cli_train.app, name="train")
 cli_archive.register(app)
