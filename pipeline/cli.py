@@ -6,7 +6,7 @@ import sys
 
 import typer
 
-from salpcc.pipeline import cli_archive, cli_data, cli_log, cli_run, cli_train
+from salpcc.pipeline import cli_archive, cli_data, cli_log, cli_map, cli_run, cli_train
 from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import SalpccError, UsageError
@@ -26,6 +26,7 @@ cli_log.register(cli_run.app)
 app.add_typer(cli_run.app, name="run")
 app.add_typer(cli_train.app, name="train")
 cli_archive.register(app)
+cli_map.register(app)
 cli_data.register(app)
 
 

@@ -33,8 +33,6 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example:  `salpcc-pipeline verify out/archives/04.mcap --against DIR`")(verify)
     app.command(epilog="Example:  `salpcc-pipeline recover damaged.mcap --out whole.mcap`")(recover)
     app.command(epilog="Example:  `salpcc-pipeline inspect out/archives/04.mcap`")(inspect)
-    unavailable = {"ignore_unknown_options": True, "allow_extra_args": True}
-    app.command(name="map", hidden=True, context_settings=unavailable)(map_)
 
 
 def decode(
@@ -139,8 +137,3 @@ def inspect(
     for row in rows:
         table.add_row(*(str(value) for value in row.values()))
     console.print(table)
-
-
-def map_() -> None:
-    """Build a clean map from decoded scans (not in this version)."""
-    raise UsageError("map is not in this version yet; `decode --to ply` gives scans to map with other tools")

@@ -1,0 +1,157 @@
+"""``map`` and ``localise``: what one does with archives of a drive."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from salpcc.schemas.errors import UsageError
+
+Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE…", help="Archives of one drive, in order")]
+Workers = Annotated[int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")]
+Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")]
+Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the application."""
+    app.command(
+        name="map",
+        epilog="Example:  `salpcc-pipeline map out/archives/04.mcap --poses DIR/sequences/04/poses.txt --out map`",
+    )(map_)
+
+
+def map_(
+    archives: Archives,
+    out: Annotated[Path, typer.Option(help="Tiles, pictures and map.json go here")],
+    poses: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FILE|odometry",
+            help="KITTI poses.txt with calib.txt beside it, one for each archive, or registration [default: odometry]",
+        ),
+    ] = None,
+    voxel: Annotated[float, typer.Option(help="Metres; points in one voxel are fused")] = 0.1,
+    max_range: Annotated[float, typer.Option(help="Metres; farther points are left out")] = 80.0,
+    keep_movable: Annotated[
+        bool, typer.Option("--keep-movable", help="Keep what the classes call movable, such as parked cars")
+    ] = False,
+    carve: Annotated[
+        bool, typer.Option("--carve/--no-carve", help="Take out what other scans look through")
+    ] = True,
+    fill_ground: Annotated[
+        bool,
+        typer.Option("--fill-ground", help="Close small holes in the ground by a plane, marked synthetic"),
+    ] = False,
+    tile: Annotated[float, typer.Option(help="Metres; memory is bounded by a tile")] = 50.0,
+    formats: Annotated[
+        str, typer.Option(help="Of laz, ply, pcd (tiles) and mcap (whole)")
+    ] = "laz,ply,pcd,mcap",
+    against: Annotated[
+        Path | None, typer.Option(help="Data root with labels; scores the map by them")
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Open the map in Rerun or Open3D")] = False,
+    json_: Json = False,
+) -> None:
+    """Build a clean map from decoded scans."""
+    from salpcc.pipeline.map import MapRequest, make_map
+    from salpcc.pipeline.map_export import FORMATS
+    from salpcc.stages.mapping.config import MapConfig
+
+    wanted = [form.strip() for form in formats.split(",") if form.strip()]
+    for form in wanted:
+        if form not in FORMATS:
+            raise UsageError(f"--formats {form}: choose from {', '.join(FORMATS)}")
+    try:
+        config = MapConfig(
+            voxel=voxel,
+            max_range=max_range,
+            keep_movable=keep_movable,
+            carve=carve,
+            fill=fill_ground,
+            tile=tile,
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UsageError(f"--{str(first['loc'][0]).replace('_', '-')}: {first['msg']}") from error
+    request = MapRequest(
+        archives=archives,
+        out=out,
+        config=config,
+        poses=poses or [],
+        formats=wanted,
+        against=against,
+        workers=workers,
+        scheduler=scheduler,
+        keep_shards=keep_shards,
+        command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
+    )
+    summary = make_map(request)
+    if json_:
+        typer.echo(json.dumps(summary, indent=1))
+    else:
+        voxels = summary["voxels"]
+        typer.echo(
+            f"{summary['scans']} scans, {summary['points_in']} points: {voxels['kept']} voxels in "
+            f"{len(summary['tiles'])} tiles; taken out: {voxels['dropped']} of movable classes, "
+            f"{voxels['carved']} seen through"
+        )
+        if summary["quality"]:
+            _show(summary["quality"])
+        typer.echo(f"map: {out / 'tiles'}\npictures: {out / 'pictures'}\nsummary: {out / 'map.json'}")
+    if view:
+        show(out)
+
+
+def _show(rows: list[dict[str, object]]) -> None:
+    table = Table(title="map against labels", box=SIMPLE_HEAD, title_justify="left")
+    measures = ("sa", "da", "aa", "pr", "rr", "f1")
+    for column in ("truth", "cleaner", *(m.upper() for m in measures)):
+        table.add_column(column)
+    for row in rows:
+        figures = [row[m] for m in measures]
+        cells = ["-" if v is None else f"{float(str(v)):.4f}" for v in figures]
+        table.add_row(str(row["truth"]), str(row["cleaner"]), *cells)
+    Console().print(table)
+
+
+def show(out: Path) -> None:
+    """Open a map's PLY tiles in Rerun where it is installed, else in Open3D.
+
+    Raises:
+        UsageError: no PLY tiles, or no screen.
+    """
+    import os
+
+    tiles = sorted((out / "tiles").glob("*.ply"))
+    if not tiles:
+        raise UsageError(f"--view: no PLY tiles in {out / 'tiles'}; add ply to --formats")
+    import open3d
+
+    clouds = [open3d.io.read_point_cloud(str(tile)) for tile in tiles]
+    if find_spec("rerun") is not None:
+        import numpy as np
+        import rerun
+
+        rerun.init("salpcc-pipeline map", spawn=True)
+        for tile, cloud in zip(tiles, clouds, strict=True):
+            rerun.log(f"map/{tile.stem}", rerun.Points3D(np.asarray(cloud.points)))
+        return
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UsageError(
+            "--view: no screen here (DISPLAY is not set); the pictures are in " + str(out / "pictures")
+        )
+    open3d.visualization.draw_geometries(clouds, window_name=str(out))

@@ -1,0 +1,116 @@
+"""Write a map: tiles as LAZ, PLY and PCD, the whole as PointCloud2 messages in an MCAP."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import laspy
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from salpcc.schemas.files import atomic
+from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS
+from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
+from salpcc.stages.mapping.voxel import SYNTHETIC, Voxels
+
+F64 = NDArray[np.float64]
+
+LAZ_SCALE = 0.001  # metres; LAZ holds integers
+MAP_TOPIC, MAP_FRAME = "/map", "map"
+_FIELDS = (
+    ("x", 0, 7, 1),
+    ("y", 4, 7, 1),
+    ("z", 8, 7, 1),
+    ("intensity", 12, 7, 1),
+    ("count", 16, 6, 1),
+    ("class", 20, 2, 1),
+)
+_ROW = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("count", "<u4"), ("class", "u1")]
+)
+_PLY_KINDS = {"<f4": "float", "<u4": "uint", "|u1": "uchar"}
+_PCD_KINDS = {"f": "F", "u": "U"}
+
+
+def to_laz(voxels: Voxels, corner: F64, path: Path) -> None:
+    """Write LAZ 1.4: places to 1 mm, ASPRS classification, our class as user data, points as ``count``."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, LAZ_SCALE), corner
+    header.add_extra_dim(laspy.ExtraBytesParams("count", np.uint32, "points fused"))
+    las = laspy.LasData(header)
+    las.xyz = voxels.xyz
+    las.intensity = np.rint(np.clip(voxels.intensity.astype(np.float64), 0, 1) * 65535).astype(np.uint16)
+    las.classification = _ASPRS[voxels.classes]
+    las.user_data = voxels.classes
+    las.synthetic = (voxels.classes == SYNTHETIC).astype(np.uint8)
+    las.count = voxels.count
+    with atomic(path) as stream:
+        las.write(stream, do_compress=True)
+
+
+def to_ply(voxels: Voxels, corner: F64, path: Path) -> None:
+    """Write a binary PLY, float32 places in the map's frame."""
+    rows = _rows(voxels)
+    lines = [f"property {_PLY_KINDS[rows.dtype[name].str]} {name}\n" for name in rows.dtype.names or ()]
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{''.join(lines)}end_header\n"
+    with atomic(path) as stream:
+        stream.write(header.encode() + rows.tobytes())
+
+
+def to_pcd(voxels: Voxels, corner: F64, path: Path) -> None:
+    """Write a binary PCD 0.7, float32 places in the map's frame."""
+    rows = _rows(voxels)
+    names = rows.dtype.names or ()
+    kinds = [rows.dtype[name] for name in names]
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
+        f"FIELDS {' '.join(names)}\nSIZE {' '.join(str(kind.itemsize) for kind in kinds)}\n"
+        f"TYPE {' '.join(_PCD_KINDS[kind.kind] for kind in kinds)}\nCOUNT {' '.join('1' for _ in kinds)}\n"
+        f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n"
+    )
+    with atomic(path) as stream:
+        stream.write(header.encode() + rows.tobytes())
+
+
+# By suffix, without the dot; each takes a tile's entries, its corner and the path.
+WRITERS: dict[str, Callable[[Voxels, F64, Path], None]] = {"laz": to_laz, "ply": to_ply, "pcd": to_pcd}
+FORMATS = (*WRITERS, "mcap")
+
+
+def to_mcap(tiles: Iterable[Voxels], path: Path) -> None:
+    """Write one ``sensor_msgs/msg/PointCloud2`` a tile on ``/map``, frame ``map``; one tile is held at a time."""
+    with atomic(path) as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="salpcc-pipeline")
+        schema = writer.register_schema(PLAIN, "ros2msg", SCHEMA_TEXT[PLAIN].encode())
+        channel = writer.register_channel(MAP_TOPIC, "cdr", schema, {"offered_qos_profiles": ""})
+        for place, voxels in enumerate(tiles):
+            rows = _rows(voxels)
+            message = CloudMessage(
+                0, MAP_FRAME, len(rows), rows.tobytes(), point_step=_ROW.itemsize, fields=_FIELDS
+            )
+            writer.add_message(channel, place, message.to_cdr(), place, place)
+        writer.finish()
+
+
+def _rows(voxels: Voxels) -> NDArray[np.void]:
+    rows = np.empty(len(voxels), _ROW)
+    for axis, name in enumerate("xyz"):
+        rows[name] = voxels.xyz[:, axis]
+    rows["intensity"], rows["count"], rows["class"] = voxels.intensity, voxels.count, voxels.classes
+    return rows
+
+
+def _asprs() -> NDArray[np.uint8]:
+    """Classes of the LAS specification: 2 ground, 5 high vegetation, 6 building; 1 is unclassified."""
+    out = np.ones(256, np.uint8)
+    out[: len(CLASSES)][GROUP_OF_CLASS == GROUND] = 2
+    for code, names in ((5, ("vegetation", "trunk")), (6, ("building",))):
+        out[[i for i, c in enumerate(CLASSES) if c.name in names]] = code
+    out[SYNTHETIC] = 2
+    return out
+
+
+_ASPRS = _asprs()

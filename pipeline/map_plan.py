@@ -1,0 +1,130 @@
+"""The plan of a map: which groups of scans of which archives, and where they stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import SourceError, UsageError
+from salpcc.stages.mapping.poses import frame_number, poses_of, read_poses
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+
+F64 = NDArray[np.float64]
+ODOMETRY = "odometry"
+_CHECKED = 24  # groups at most whose given poses are checked by registration
+
+
+@dataclass(frozen=True)
+class Group:
+    """One GOP of an archive.
+
+    Attributes:
+        number: place in the map's order.
+        names, numbers: of its scans; the numbers tell how many turns apart they are.
+        poses: 16 numbers a scan, sensor to map; empty where odometry is to find them.
+        check: whether the poses are to be compared with what registration finds.
+    """
+
+    archive: str
+    sequence: str
+    gop: int
+    number: int
+    names: tuple[str, ...]
+    numbers: tuple[int, ...]
+    poses: tuple[float, ...] = ()
+    check: bool = False
+
+    def given(self) -> F64 | None:
+        """Return the poses ``(n, 4, 4)``, or None."""
+        return np.array(self.poses).reshape(-1, 4, 4) if self.poses else None
+
+
+@dataclass(frozen=True)
+class MapPlan:
+    """The groups of a map in the order of the drive, and where its poses came from."""
+
+    groups: tuple[Group, ...]
+    poses: str
+    sequence: str
+
+    @property
+    def n_scans(self) -> int:
+        """Scans of all groups."""
+        return sum(len(group.names) for group in self.groups)
+
+
+def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
+    """List the groups of archives that make one map.
+
+    ``poses`` is one poses file for each archive, all in one frame; none, or ``odometry``, leave it to odometry.
+
+    Raises:
+        UsageError: not one poses file for each archive.
+        SourceError: archives of different sensors, a scan that is in two of them, poses that are missing.
+        ArchiveError: an archive is damaged.
+    """
+    if not archives:
+        raise UsageError("no archive: name at least one, such as out/archives/04.mcap")
+    sources = list(poses) or [ODOMETRY]
+    by_odometry = sources == [ODOMETRY]
+    if not by_odometry and (ODOMETRY in sources or len(sources) != len(archives)):
+        raise UsageError(
+            f"--poses: {len(sources)} for {len(archives)} archives; name one file for each, all in one frame, "
+            "or odometry once"
+        )
+    readers = [ArchiveReader(path) for path in archives]
+    _one_sensor(readers)
+    groups: list[Group] = []
+    seen: dict[tuple[str, str], Path] = {}
+    for at, reader in enumerate(readers):
+        names = [entry.name for gop in reader.gops for entry in gop]
+        for name in names:
+            other = seen.setdefault((reader.facts.sequence, name), reader.path)
+            if other is not reader.path:
+                raise SourceError(f"scan {name} is both in {other} and in {reader.path}; name one of them")
+        placed = None if by_odometry else poses_of(names, read_poses(Path(sources[at])), Path(sources[at]))
+        first = 0
+        for gop, entries in enumerate(reader.gops):
+            if not entries:
+                continue
+            last = first + len(entries)
+            groups.append(
+                Group(
+                    str(reader.path),
+                    reader.facts.sequence,
+                    gop,
+                    len(groups),
+                    tuple(names[first:last]),
+                    tuple(frame_number(names[i], i) for i in range(first, last)),
+                    () if placed is None else tuple(placed[first:last].ravel().tolist()),
+                )
+            )
+            first = last
+    if not groups:
+        raise SourceError(f"{archives[0]}: no scan in it")
+    sequences = dict.fromkeys(group.sequence for group in groups)
+    return MapPlan(_checked(groups), ", ".join(sources), "+".join(sequences))
+
+
+def _checked(groups: list[Group]) -> tuple[Group, ...]:
+    """Choose the groups whose poses are checked: evenly spread, of two scans at least."""
+    able = [group.number for group in groups if group.poses and len(group.names) > 1]
+    chosen = {able[i] for i in np.linspace(0, len(able) - 1, min(_CHECKED, len(able))).round().astype(int)}
+    return tuple(
+        Group(**{**vars(group), "check": True}) if group.number in chosen else group for group in groups
+    )
+
+
+def _one_sensor(readers: list[ArchiveReader]) -> None:
+    first = readers[0]
+    for reader in readers[1:]:
+        if reader.facts.sensor.digest != first.facts.sensor.digest:
+            scan = next((entry.name for gop in reader.gops for entry in gop), "(none)")
+            raise SourceError(
+                f"{reader.path}: scan {scan} is of sensor {reader.facts.sensor.name}, the scans of {first.path} "
+                f"are of {first.facts.sensor.name} (other calibration); map the archives of one sensor at a time"
+            )

@@ -1,0 +1,126 @@
+"""Draw a map, as the paper's Fig. 10 does: from above and in perspective, movable things in red."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from salpcc.stages.mapping.build import CARVED, DROPPED
+from salpcc.stages.mapping.voxel import SYNTHETIC, Voxels
+
+F64 = NDArray[np.float64]
+Index = NDArray[np.uint8]
+
+WIDTH, HEIGHT = 960, 600  # pixels
+_PER_PIXEL = 0.125  # metres, from above
+_LEVELS = 40  # colours for height, 1 to _LEVELS; 0 is the background
+_LOW, _HIGH = -2.0, 7.0  # metres above the sensor's way, of the first and last colour
+_RED, _ORANGE, _BLUE = _LEVELS + 1, _LEVELS + 2, _LEVELS + 3
+_BEHIND, _ABOVE, _DOWN = 30.0, 20.0, np.radians(27.0)  # the eye: metres from the sensor, and its tilt
+_FOCAL = 0.9 * WIDTH
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where one looks from: a sensor pose whose heading points right from above, and ahead in perspective."""
+
+    pose: F64
+
+    def local(self, xyz: F64) -> F64:
+        """Take places ``(N, 3)`` to x ahead, y left, z up, level."""
+        ahead = self.pose[:2, 0] / np.linalg.norm(self.pose[:2, 0])
+        off = xyz - self.pose[:3, 3]
+        return np.column_stack(
+            [
+                off[:, 0] * ahead[0] + off[:, 1] * ahead[1],
+                off[:, 1] * ahead[0] - off[:, 0] * ahead[1],
+                off[:, 2],
+            ]
+        )
+
+
+def busiest(poses: F64, xyz: F64, against: NDArray[np.uint8]) -> Place:
+    """Choose the pose, of ``(n, 4, 4)``, around which most was taken out."""
+    gone = xyz[against != 0]
+    few = poses[:: max(1, len(poses) // 100)]
+    counts = [np.count_nonzero(np.square(gone[:, :2] - p[:2, 3]).sum(axis=1) < 30.0**2) for p in few]
+    return Place(few[int(np.argmax(counts))] if len(gone) else poses[len(poses) // 2])
+
+
+def pictures(voxels: Voxels, against: NDArray[np.uint8], place: Place) -> dict[str, bytes]:
+    """Draw four PNGs, by name: from above and in perspective, before (all, what goes marked) and after."""
+    local = place.local(voxels.xyz)
+    colour = _height_colour(local[:, 2])
+    colour[voxels.classes == SYNTHETIC] = _BLUE
+    marked = colour.copy()
+    marked[against & CARVED != 0] = _ORANGE
+    marked[against & DROPPED != 0] = _RED
+    measured, kept = voxels.count > 0, against == 0
+    out = {}
+    for name, draw in (("above", _above), ("perspective", _perspective)):
+        out[f"{name}_before"] = _png(draw(local[measured], marked[measured]))
+        out[f"{name}_after"] = _png(draw(local[kept], colour[kept]))
+    return out
+
+
+def _above(local: F64, colour: Index) -> Index:
+    """Paint from above, driving direction to the right, the highest in front; marks go over all."""
+    column = np.floor(local[:, 0] / _PER_PIXEL + WIDTH / 2).astype(np.int64)
+    row = np.floor(HEIGHT / 2 - local[:, 1] / _PER_PIXEL).astype(np.int64)
+    order = np.lexsort((local[:, 2], colour > _LEVELS))
+    return _paint(row, column, colour, order, np.zeros(len(local), np.int64))
+
+
+def _perspective(local: F64, colour: Index) -> Index:
+    """Paint as seen from behind and above, the nearest in front; near points are wider."""
+    ahead, up = local[:, 0] + _BEHIND, local[:, 2] - _ABOVE
+    depth = ahead * np.cos(_DOWN) - up * np.sin(_DOWN)
+    rise = ahead * np.sin(_DOWN) + up * np.cos(_DOWN)
+    seen = depth > 3.0
+    depth, colour = depth[seen], colour[seen]
+    column = np.floor(WIDTH / 2 - _FOCAL * local[seen, 1] / depth).astype(np.int64)
+    row = np.floor(HEIGHT / 2 - _FOCAL * rise[seen] / depth).astype(np.int64)
+    return _paint(row, column, colour, np.argsort(-depth), (0.09 * _FOCAL / depth).astype(np.int64))
+
+
+def _paint(
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    colour: Index,
+    order: NDArray[np.intp],
+    wider: NDArray[np.int64],
+) -> Index:
+    """Paint points in order, each ``wider + 1`` pixels wide and high, three at most."""
+    image = np.zeros((HEIGHT, WIDTH), np.uint8)
+    size = np.minimum(wider, 2)
+    spots = np.concatenate([np.column_stack([order, np.full(len(order), k)]) for k in range(9)])
+    i, k = spots[np.argsort(np.tile(np.arange(len(order)), 9), kind="stable")].T
+    keep = (k // 3 <= size[i]) & (k % 3 <= size[i])
+    i, k = i[keep], k[keep]
+    r, c = row[i] + k // 3, column[i] + k % 3
+    inside = (r >= 0) & (r < HEIGHT) & (c >= 0) & (c < WIDTH)
+    image[r[inside], c[inside]] = colour[i[inside]]
+    return image
+
+
+def _height_colour(z: F64) -> Index:
+    part = np.clip((z - _LOW) / (_HIGH - _LOW), 0.0, 1.0)
+    return (1 + np.floor(part * (_LEVELS - 1))).astype(np.uint8)
+
+
+def _png(image: Index) -> bytes:
+    scale = matplotlib.colormaps["viridis"](np.linspace(0.12, 1.0, _LEVELS))[:, :3]
+    table = np.zeros((256, 3), np.uint8)
+    table[0] = (16, 19, 26)
+    table[1 : _LEVELS + 1] = np.round(255 * scale)
+    table[_RED], table[_ORANGE], table[_BLUE] = (235, 40, 45), (255, 150, 40), (90, 170, 255)
+    picture = Image.fromarray(image, "P")
+    picture.putpalette(table.ravel().tolist())
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
