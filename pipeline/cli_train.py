@@ -86,6 +86,37 @@ def segment(
     typer.echo(f"weights: {path}; use them with --weights {path}")
 
 
+@app.command(
+    epilog="Example:  `salpcc-pipeline train predict --data kitti/dataset --data kitti_raw --out weights`"
+)
+def predict(
+    data: Annotated[
+        list[Path], typer.Option(help="Root of recorded or simulated scans; may be given several times")
+    ],
+    out: Out = Path("weights"),
+    iterations: Annotated[int, typer.Option(min=1, help="Optimiser steps in float")] = 1500,
+    rounded: Annotated[int, typer.Option(min=0, help="Then so many with the integers' rounding")] = 200,
+    batch: Annotated[int, typer.Option(min=1, help="Windows in a step")] = 2,
+    rate: Annotated[float, typer.Option(help="Peak learning rate")] = 2e-3,
+    seed: Annotated[int, typer.Option(help="Of weights and windows")] = 0,
+    device: Annotated[str, typer.Option(help="cpu | cuda")] = "cpu",
+) -> None:
+    """Train the prediction network of the paper profile on consecutive scans; sequence 06 validates.
+
+    Goes on from where --out stopped.
+    """
+    from salpcc.stages.predict.st_lstm.dataset import read_clips
+    from salpcc.stages.predict.st_lstm.train import Recipe, train_predictor
+
+    check_device(device)
+    for root in data:
+        check_data(root)
+    recipe = Recipe(iterations, rounded, batch=batch, rate=rate, seed=seed)
+    clips = [clip for root in data for clip in read_clips(root)]
+    train_predictor(clips, out, recipe, device=device, log=STDERR.print)
+    typer.echo(f"weights: {out / 'st_lstm.safetensors'}")
+
+
 def check_device(device: str) -> None:
     """Refuse a device that is not here."""
     import torch

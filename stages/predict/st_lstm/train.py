@@ -6,6 +6,7 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from torch import Tensor
 from salpcc.schemas.errors import UsageError
 from salpcc.stages.predict.st_lstm.arithmetic import ONE, Trainable
 from salpcc.stages.predict.st_lstm.batches import Window, draw, whole
+from salpcc.stages.predict.st_lstm.checkpoint import export, save
 from salpcc.stages.predict.st_lstm.dataset import Clip
 from salpcc.stages.predict.st_lstm.inputs import FARTHEST, NEIGHBOURS
 from salpcc.stages.predict.st_lstm.network import Shape, first_state, mixed_ranges, step
@@ -36,8 +38,8 @@ class Recipe:
         validate_every: iterations.
     """
 
-    iterations: int = 1800
-    rounded_iterations: int = 250
+    iterations: int = 1500
+    rounded_iterations: int = 200
     steps: int = 5
     columns: int = 400
     batch: int = 2
@@ -113,12 +115,13 @@ def train_predictor(
     device: str = "cpu",
     log: Log = print,
 ) -> Trainable:
-    """Train on ``clips`` but :data:`VALIDATION`; goes on where ``folder/state.pt`` stopped.
+    """Train on all clips but those of :data:`VALIDATION`; goes on where ``folder/state.pt`` stopped.
 
-    Writes ``log.csv`` and ``state.pt`` to ``folder``.
+    Writes ``st_lstm.safetensors`` (whole numbers, for :func:`~.checkpoint.load`), ``log.csv`` and
+    ``state.pt`` to ``folder``.
 
     Raises:
-        UsageError: no clip to train on.
+        UsageError: no clip to train on, or the folder holds the state of another recipe.
     """
     recipe, shape = recipe or Recipe(), shape or Shape()
     learn = [clip for clip in clips if clip.name != VALIDATION]
@@ -127,65 +130,91 @@ def train_predictor(
         raise UsageError("no two consecutive scans to train on")
     torch.manual_seed(recipe.seed)
     numbers = Trainable(shape.layers()).to(device)
-    total = recipe.iterations + recipe.rounded_iterations
     optimiser = torch.optim.AdamW(numbers.parameters(), recipe.rate, betas=(0.9, 0.99), weight_decay=1e-4)
     folder.mkdir(parents=True, exist_ok=True)
-    kept = folder / "state.pt"
-    start = 0
-    if kept.is_file():
-        found = torch.load(kept, map_location=device, weights_only=True)
-        if found["recipe"] != asdict(recipe) or found["shape"] != asdict(shape):
-            raise UsageError(f"{kept}: another recipe was trained there; choose another --out or delete it")
-        numbers.load_state_dict(found["numbers"])
-        optimiser.load_state_dict(found["optimiser"])
-        start, numbers.rounded, numbers.bits = found["iteration"], found["rounded"], found["bits"]
+    made_by = {"recipe": asdict(recipe), "shape": asdict(shape)}
+    start = _resume(folder / "state.pt", made_by, numbers, optimiser)
+    total = recipe.iterations + recipe.rounded_iterations
+    losses: list[float] = []
     with (folder / "log.csv").open("a" if start else "w", newline="") as stream:
         rows = csv.writer(stream)
         if not start:
             rows.writerow(_COLUMNS_OF_LOG)
-        mean = 0.0
         for iteration in range(start, total):
             if iteration == recipe.iterations:
                 numbers.settle()
             rate = rate_at(iteration, recipe)
-            for group in optimiser.param_groups:
-                group["lr"] = rate
             # Seeded by the iteration, so that a resumed training sees the same windows.
             rng = np.random.default_rng((recipe.seed, iteration))
             window = to(draw(learn, rng, recipe.steps, recipe.columns, recipe.batch), device)
-            loss, _, _ = loss_of(*rollout(numbers, shape, window), window, recipe.norms)
-            optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(numbers.parameters(), 1.0)
-            optimiser.step()
-            mean = 0.98 * mean + 0.02 * float(loss.detach()) if mean else float(loss.detach())
-            if (iteration + 1) % recipe.validate_every == 0 or iteration + 1 == total:
-                bits, far = validate(numbers, shape, check)
-                rows.writerow(
-                    [
-                        iteration + 1,
-                        int(numbers.rounded),
-                        f"{rate:.2e}",
-                        f"{mean:.4f}",
-                        f"{bits:.4f}",
-                        f"{far:.2f}",
-                    ]
-                )
-                stream.flush()
-                log(f"{iteration + 1}/{total}: loss {mean:.3f}, validation {bits:.3f} bits, L1 {far:.0f} mm")
-                torch.save(
-                    {
-                        "numbers": numbers.state_dict(),
-                        "optimiser": optimiser.state_dict(),
-                        "iteration": iteration + 1,
-                        "rounded": numbers.rounded,
-                        "bits": numbers.bits,
-                        "recipe": asdict(recipe),
-                        "shape": asdict(shape),
-                    },
-                    kept,
-                )
+            losses.append(_improve(numbers, shape, window, optimiser, rate, recipe.norms))
+            if (iteration + 1) % recipe.validate_every and iteration + 1 < total:
+                continue
+            bits, far = validate(numbers, shape, check)
+            mean = float(np.mean(losses[-recipe.validate_every :]))
+            row = (
+                iteration + 1,
+                int(numbers.rounded),
+                f"{rate:.2e}",
+                f"{mean:.4f}",
+                f"{bits:.4f}",
+                f"{far:.2f}",
+            )
+            rows.writerow(row)
+            stream.flush()
+            _keep(folder / "state.pt", made_by, numbers, optimiser, iteration + 1)
+            log(f"{iteration + 1}/{total}: loss {mean:.3f}, validation {bits:.3f} bits, L1 {far:.0f} mm")
+    if not numbers.rounded:
+        numbers.settle()
+    save(folder / "st_lstm.safetensors", export(numbers), shape)
     return numbers
+
+
+def _improve(
+    numbers: Trainable,
+    shape: Shape,
+    window: Window,
+    optimiser: torch.optim.Optimizer,
+    rate: float,
+    norms: float,
+) -> float:
+    """Take one optimiser step; returns the loss."""
+    for group in optimiser.param_groups:
+        group["lr"] = rate
+    loss, _, _ = loss_of(*rollout(numbers, shape, window), window, norms)
+    optimiser.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    torch.nn.utils.clip_grad_norm_(numbers.parameters(), 1.0)
+    optimiser.step()
+    return float(loss.detach())
+
+
+def _keep(
+    path: Path, made_by: dict[str, Any], numbers: Trainable, optimiser: torch.optim.Optimizer, iteration: int
+) -> None:
+    state = {
+        "numbers": numbers.state_dict(),
+        "optimiser": optimiser.state_dict(),
+        "iteration": iteration,
+        "rounded": numbers.rounded,
+        "bits": numbers.bits,
+    }
+    part = path.with_suffix(".part")
+    torch.save(made_by | state, part)
+    part.replace(path)
+
+
+def _resume(path: Path, made_by: dict[str, Any], numbers: Trainable, optimiser: torch.optim.Optimizer) -> int:
+    """Take up what :func:`_keep` wrote, if anything; returns the iterations done."""
+    if not path.is_file():
+        return 0
+    found = torch.load(path, map_location=next(numbers.parameters()).device, weights_only=True)
+    if any(found[name] != value for name, value in made_by.items()):
+        raise UsageError(f"{path}: another recipe was trained there; choose another --out or delete it")
+    numbers.load_state_dict(found["numbers"])
+    optimiser.load_state_dict(found["optimiser"])
+    numbers.rounded, numbers.bits = bool(found["rounded"]), found["bits"]
+    return int(found["iteration"])
 
 
 def rate_at(iteration: int, recipe: Recipe) -> float:
