@@ -49,6 +49,9 @@ def segment(
     ),
     width: Annotated[str, typer.Option(help="small | paper")] = "small",
     hold_out: Annotated[str, typer.Option(help="Sequences to score on and never to train on")] = "06",
+    donors: Annotated[
+        Path | None, typer.Option(help="Labelled root (simulated, say) whose vehicles are pasted in, too")
+    ] = None,
     steps: Annotated[int, typer.Option(min=1, help="Optimiser steps")] = 5000,
     batch: Annotated[int, typer.Option(min=1, help="Crops in a step")] = 8,
     rate: Annotated[float, typer.Option(help="Peak learning rate")] = 2e-3,
@@ -82,7 +85,8 @@ def segment(
         return
     recipe = Recipe(width, steps, batch, rate, seed=seed, workers=workers, every=every)
     refs = list_labelled(data, leave_out=names)
-    path = train_segment(refs, held_out, out, recipe, device, resume, log=STDERR.print)
+    given = list_labelled(donors) if donors is not None else []
+    path = train_segment(refs, held_out, out, recipe, device, given, resume, log=STDERR.print)
     typer.echo(f"weights: {path}; use them with --weights {path}")
 
 

@@ -52,12 +52,20 @@ def nearest_cones(points: F32, tangent: NDArray[np.float64], z0: NDArray[np.floa
         distance = np.sqrt(rho * rho + z * z)
         if not (distance > NEAREST and distance < FARTHEST):  # NaN fails both
             continue
-        best = np.inf
-        for k in range(len(tangent)):
-            off = abs(z - z0[k] - rho * tangent[k])
-            if off < best:
-                best = off
-                row[i] = k
+        # Cones come top to bottom, so the height of a cone at the point's distance falls with its number.
+        below = 0
+        end = len(tangent)
+        while below < end:
+            middle = (below + end) // 2
+            if z0[middle] + rho * tangent[middle] > z:
+                below = middle + 1
+            else:
+                end = middle
+        row[i] = min(below, len(tangent) - 1)
+        if below > 0:
+            over = z0[below - 1] + rho * tangent[below - 1] - z
+            if below == len(tangent) or over < z - z0[below] - rho * tangent[below]:
+                row[i] = below - 1
     return row
 
 
@@ -81,7 +89,7 @@ def project(
     """Lay points ``(N, 3)`` and intensities ``(N,)`` on the grid; inverse: :mod:`.back_projection`.
 
     Args:
-        sensor: whose cones are the rows, top to bottom; by default the HDL-64E's.
+        sensor: whose cones are the rows, which come top to bottom; by default the HDL-64E's.
     """
     cones = sensor or load_sensor("hdl64e")
     points = np.ascontiguousarray(points, np.float32)

@@ -64,10 +64,14 @@ class Recipe:
 
 
 def class_weights() -> torch.Tensor:
-    """Weights ``(19,)`` by the root of the inverse share, mean 1 over the points."""
-    weights = torch.tensor(_SHARES).rsqrt().clamp(max=30.0)
-    assert len(weights) == N_CLASSES < len(CLASSES)
-    return weights / (weights * torch.tensor(_SHARES)).sum()
+    """Weights ``(19,)`` by the fourth root of the inverse share, mean 1 over the points.
+
+    With square roots every trunk and bush was a person or a bicycle.
+    """
+    shares = torch.tensor(_SHARES)
+    assert len(shares) == N_CLASSES < len(CLASSES)
+    weights = shares**-0.25
+    return weights / (weights * shares).sum()
 
 
 class Trainer:
@@ -171,10 +175,13 @@ def train_segment(
     out: Path,
     recipe: Recipe,
     device: str = "cpu",
+    donors: Sequence[ScanRef] = (),
     resume: bool = False,
     log: Log = print,
 ) -> Path:
     """Train on labelled scans and return the path of the weights: ``OUT/segment_WIDTH.safetensors``.
+
+    ``donors`` are labelled scans of which only the vehicles and people are used, pasted into the others.
 
     ``OUT/training.csv`` has the loss and, where scans are held out, their scores; ``OUT/checkpoint.safetensors``
     is what ``resume`` goes on from.
@@ -187,7 +194,12 @@ def train_segment(
     weights = out / f"segment_{recipe.width}.safetensors"
     # Crops are not replayed after a resume: another seed draws new ones.
     samples = Samples(
-        trainer.refs, trainer.network.config, recipe.batch, recipe.seed + 1000 * trainer.step, recipe.samples
+        trainer.refs,
+        trainer.network.config,
+        recipe.batch,
+        recipe.seed + 1000 * trainer.step,
+        recipe.samples,
+        donors,
     )
     batches = loader(samples, recipe.workers)
     sequences = sorted({sequence_of(ref) for ref in refs})

@@ -10,11 +10,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS, MOVABLE
+from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS
 from salpcc.stages.segment.network import N_CLASSES
 
 _GROUP_OF_OUTPUT = torch.tensor(GROUP_OF_CLASS[1 : N_CLASSES + 1].astype("int64"))
-_MOVABLE_WEIGHT = 2.0
 
 
 def group_logits(logits: Tensor) -> Tensor:
@@ -57,8 +56,6 @@ def segmentation_loss(logits: Tensor, targets: Tensor, class_weights: Tensor) ->
     by_class = functional.cross_entropy(rows, truth, weight=class_weights.to(rows.device))
     groups = group_logits(rows)
     truth_groups = _GROUP_OF_OUTPUT.to(truth.device)[truth]
-    weights = torch.ones(len(GROUPS), device=rows.device)
-    weights[MOVABLE] = _MOVABLE_WEIGHT
-    by_group = functional.cross_entropy(groups, truth_groups, weight=weights)
+    by_group = functional.cross_entropy(groups, truth_groups)
     thin = slice(None, None, 2)  # sorting every pixel costs more than it brings
     return by_class + by_group + lovasz(torch.softmax(groups[thin], 1), truth_groups[thin])

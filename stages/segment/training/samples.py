@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,15 +17,15 @@ from salpcc.stages.segment.network import NetworkConfig
 from salpcc.stages.segment.point_branch import PointTensors
 from salpcc.stages.segment.range_image import COLUMNS, RANGE
 from salpcc.stages.segment.training.crops import Crop, cut, distort, mirror
-from salpcc.stages.segment.training.labelled import LabelledScans, sequence_of
+from salpcc.stages.segment.training.labelled import LabelledImage, LabelledScans, read_labelled, sequence_of
 from salpcc.stages.segment.training.mixing import Instance, instances_of, mix, paste
 
 IGNORED = -1
 _BANK = 400  # instances kept of each class
 _LEAST_RETURNS = 500
 # Cars are plenty; of the others there are a handful each.
-_PASTE_WEIGHT = {"car": 1.0, "truck": 0.6, "other-vehicle": 0.6, "person": 0.5}
-_OTHER_WEIGHT = 0.3
+_PASTE_WEIGHT = {"car": 1.0, "truck": 0.5, "other-vehicle": 0.5, "person": 0.25}
+_OTHER_WEIGHT = 0.15
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class SampleConfig:
         width: columns of a crop.
         mixed, pasted: share of crops that are mixed with another, or get instances pasted.
         most_pasted: instances pasted into one crop at most.
+        from_donors: share of the pasted instances that comes from donor scans, where there are any.
         distorted: whether crops are turned, scaled, mirrored and thinned out.
     """
 
@@ -43,6 +44,7 @@ class SampleConfig:
     mixed: float = 0.35
     pasted: float = 0.7
     most_pasted: int = 6
+    from_donors: float = 0.4
     distorted: bool = True
 
 
@@ -65,6 +67,7 @@ class Samples(IterableDataset[Batch]):
         batch: int,
         seed: int,
         config: SampleConfig | None = None,
+        donors: Sequence[ScanRef] = (),
     ) -> None:
         super().__init__()
         self.scans = LabelledScans(refs)
@@ -72,7 +75,9 @@ class Samples(IterableDataset[Batch]):
         self.batch = batch
         self.seed = seed
         self.config = config or SampleConfig()
-        self._bank: dict[int, list[Instance]] = {}
+        self.donors = list(donors)
+        self._own = InstanceBank()
+        self._given = InstanceBank()
         self._banked: set[int] = set()
         names = [sequence_of(ref) for ref in refs]
         # Sequences weigh by the root of their length, so that no single scene rules.
@@ -113,27 +118,47 @@ class Samples(IterableDataset[Batch]):
         image = self.scans[number]
         if number not in self._banked:
             self._banked.add(number)
-            for instance in instances_of(image):
-                kept = self._bank.setdefault(instance.label, [])
-                kept.append(instance)
-                if len(kept) > _BANK:
-                    kept.pop(int(rng.integers(len(kept))))
+            self._own.add(image, rng)
         crop = cut(image, int(rng.integers(COLUMNS)), self.config.width)
         crop = mirror(crop, COLUMNS) if self.config.distorted and rng.random() < 0.5 else crop
         return replace(crop, planes=crop.planes.copy(), classes=crop.classes.copy())
 
     def _paste(self, crop: Crop, rng: np.random.Generator) -> None:
-        labels = sorted(self._bank)
-        if not labels:
-            return
-        weights = np.array([_PASTE_WEIGHT.get(CLASSES[label].name, _OTHER_WEIGHT) for label in labels])
+        if self.donors:  # read one by one, as they are needed; only their instances are kept
+            self._given.add(read_labelled(self.donors.pop(int(rng.integers(len(self.donors))))), rng)
         for _ in range(int(rng.integers(1, self.config.most_pasted + 1))):
-            kept = self._bank[labels[int(rng.choice(len(labels), p=weights / weights.sum()))]]
-            instance = kept[int(rng.integers(len(kept)))]
+            given = self._given.instances and rng.random() < self.config.from_donors
+            instance = (self._given if given else self._own).draw(rng)
+            if instance is None:
+                return
             flip = bool(rng.random() < 0.5)
             for _ in range(12):  # most columns have no room
                 if paste(crop, instance, int(rng.integers(self.config.width)), COLUMNS, flip):
                     break
+
+
+class InstanceBank:
+    """Movable objects to paste, by class; a full class forgets one at random for each new one."""
+
+    def __init__(self) -> None:
+        self.instances: dict[int, list[Instance]] = {}
+
+    def add(self, image: LabelledImage, rng: np.random.Generator) -> None:
+        """Take in the movable objects of an image."""
+        for instance in instances_of(image):
+            kept = self.instances.setdefault(instance.label, [])
+            kept.append(instance)
+            if len(kept) > _BANK:
+                kept.pop(int(rng.integers(len(kept))))
+
+    def draw(self, rng: np.random.Generator) -> Instance | None:
+        """Draw one, None where there are none."""
+        labels = sorted(self.instances)
+        if not labels:
+            return None
+        weights = np.array([_PASTE_WEIGHT.get(CLASSES[label].name, _OTHER_WEIGHT) for label in labels])
+        kept = self.instances[labels[int(rng.choice(len(labels), p=weights / weights.sum()))]]
+        return kept[int(rng.integers(len(kept)))]
 
 
 def loader(samples: Samples, workers: int) -> Iterator[Batch]:
