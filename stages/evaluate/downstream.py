@@ -56,4 +56,4 @@ _SHORT = {"mean": "mean", "stddev": "std", "approximate_median": "median"}
 
 def _coder_place(figures: dict[str, Any]) -> tuple[bool, float, float]:
     rate = figures["rate_percent"]
-    return figures["input"] != "raw", figures["max_error"] or 0.0, 1e9 if rate is None else rate
+    return figures["input"] == "raw", figures["max_error"] or 0.0, 1e9 if rate is None else rate

@@ -137,7 +137,7 @@ def _compare(
         "max_axis_error_m": errors.max_axis,
         "squared_error_m2": errors.sum_of_squares,
         "d_d_m2": 0.0 if exact_points else symmetric_distance(points, decoded.points),
-        "bit_exact": exact_points and exact_intensity,
+        "bit_exact": exact_points and exact_intensity and _same_message(source, decoded, kept),
         "intensity_exact": exact_intensity,
     }
     if sample:
@@ -167,6 +167,11 @@ def _sample(decoded: Scan, distance: NDArray[np.float64]) -> dict[str, Any]:
         "sample_error_m": distance.astype(np.float32),
         "sample_classes": decoded.classes,
     }
+
+
+def _same_message(source: Scan, decoded: Scan, kept: NDArray[np.bool_]) -> bool:
+    """Tell whether what a recorded message held besides its points is the same; True for other scans."""
+    return same_message(source.cloud and source.cloud.keep(kept), decoded.cloud)
 
 
 def _segmentation(

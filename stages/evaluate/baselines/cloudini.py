@@ -19,7 +19,9 @@ def encode(points: Points, max_error: float) -> bytes:
     if not np.isfinite(places).all():
         raise NotPossible("points that are not finite cannot be quantised")
     step = step_of(max_error)
-    fields = [pureini.PointField(axis, 4 * i, pureini.FieldType.FLOAT32, step) for i, axis in enumerate("xyz")]
+    fields = [
+        pureini.PointField(axis, 4 * i, pureini.FieldType.FLOAT32, step) for i, axis in enumerate("xyz")
+    ]
     info = pureini.EncodingInfo(
         fields,
         width=len(places),

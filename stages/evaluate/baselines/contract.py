@@ -69,7 +69,9 @@ class Baseline:
     """One codec: what it is called, what it needs, what it promises, and its two functions."""
 
     title: str
-    packages: tuple[str, ...]  # beyond the product's own dependencies, by the name that imports and installs them
+    packages: tuple[
+        str, ...
+    ]  # beyond the product's own dependencies, by the name that imports and installs them
     promise: Promise
     encode: Callable[[Points, float], bytes]
     decode: Callable[[bytes], Points]

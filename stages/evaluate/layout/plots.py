@@ -76,14 +76,11 @@ def confusion_plot(report: Report) -> Plot:
 def coder_plot(rows: Sequence[Mapping[str, Any]]) -> Plot:
     """CR of the lossless coders, on residuals and on raw scans (after Fig. 8)."""
     ran = [row for row in rows if row["rate_percent"] is not None]
-    residual = min((row["max_error"] for row in ran if row["input"] != "raw"), default=None)
+    residuals = [row for row in ran if row["input"] != "raw"]
+    finest = min((row["max_error"] or 0.0 for row in residuals), default=0.0)
     of = {
-        kind: {
-            r["coder"]: r["rate_percent"]
-            for r in ran
-            if r["input"] == kind and r["max_error"] in (None, residual)
-        }
-        for kind in ("residual", "raw")
+        "residual": {r["coder"]: r["rate_percent"] for r in residuals if (r["max_error"] or 0.0) == finest},
+        "raw": {r["coder"]: r["rate_percent"] for r in ran if r["input"] == "raw"},
     }
     names = sorted(of["residual"] | of["raw"], key=lambda name: of["residual"].get(name, 1e9))
     with drawing(0.9 + 0.36 * len(names)) as (axes, svg):
@@ -99,7 +96,7 @@ def coder_plot(rows: Sequence[Mapping[str, Any]]) -> Plot:
         axes.margins(x=0.12)
         axes.set_xlabel("CR, % of 16 bytes per input point")
         legend(axes)
-    what = f" at {1e3 * residual:g} mm" if residual else ""
+    what = f" at {1e3 * finest:g} mm" if finest else ""
     return Plot("Lossless coders (Fig. 8)", f"Residuals{what} and raw scans. Lower is better.", "".join(svg))
 
 

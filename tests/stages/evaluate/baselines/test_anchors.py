@@ -16,7 +16,9 @@ SCANS = (
 )
 
 
-@pytest.mark.parametrize(("name", "error", "bpp"), [("draco", 0.005, 11.49), ("laszip", 0.01, 6.57), ("tmc13", 0.01, 6.14)])
+@pytest.mark.parametrize(
+    ("name", "error", "bpp"), [("draco", 0.005, 11.49), ("laszip", 0.01, 6.57), ("tmc13", 0.01, 6.14)]
+)
 def test_the_rate_is_what_others_found(name: str, error: float, bpp: float, real_data: Path) -> None:
     baseline = BASELINES[name]
     if missing := baseline.missing():
