@@ -1,9 +1,10 @@
-"""Fill the tables of README.md from a run's report.json: ``python scripts/readme_figures.py OUT``.
+"""Fill the tables of README.md from what was measured: ``python scripts/readme_figures.py OUT --bench BENCH.json``.
 
-A table stands between ``<!-- figures:begin NAME -->`` and ``<!-- figures:end -->``, where NAME is ``summary`` or
-any table of the report (``sequences``, ``bytes``, ``times``, ``iou``, ``baselines``, ``published``). Nothing
-between the markers is ever typed. With ``--check`` the file is left alone and the exit code is 1 where it
-differs from the report.
+A table stands between ``<!-- figures:begin NAME -->`` and ``<!-- figures:end -->``, where NAME is ``summary``, any table
+of the report in OUT (``sequences``, ``times``, ``table1``, ``groups``, ``baselines``, ``bd_rate``, ``table2`` to ``table5``,
+``fig8``, ``map``, ``ablation1`` …), or ``bench``, which ``python -m salpcc.stages.evaluate.bench --json BENCH.json`` measures.
+Nothing between the markers is ever typed. With ``--check`` the file is left alone and the exit code is 1 where it
+differs. Blocks of a source that is not named are left alone.
 """
 
 from __future__ import annotations
@@ -17,24 +18,34 @@ from pathlib import Path
 from typing import Any
 
 from salpcc.stages.evaluate.layout.report_tables import all_tables, summary_table
+from salpcc.stages.evaluate.layout.tables import Column, Table
 
 BLOCK = re.compile(r"(<!-- figures:begin (\w+) -->\n).*?(<!-- figures:end -->)", re.DOTALL)
+BENCH = "bench"
 
 
-def fill(text: str, report: Mapping[str, Any]) -> str:
-    """Return the text with every marked block replaced.
+def fill(text: str, report: Mapping[str, Any] | None, bench: Mapping[str, Any] | None = None) -> str:
+    """Return the text with the marked blocks replaced.
 
     Raises:
-        ValueError: a block names a table that the report does not have.
+        ValueError: a block names a table that the report does not have, or there is none for the bench.
     """
-    tables = {table.name: table for table in [summary_table(report), *all_tables(report)]}
+    tables = {}
+    if report is not None:
+        for table in [summary_table(report), *all_tables(report)]:
+            tables[table.name] = f"{table.to_markdown()}\n\n{table.note} {provenance(report)}"
+    if bench is not None:
+        tables[BENCH] = bench_table(bench)
+        if BENCH not in {match[2] for match in BLOCK.finditer(text)}:
+            raise ValueError("no block <!-- figures:begin bench --> … <!-- figures:end -->")
 
     def block(match: re.Match[str]) -> str:
         name = match[2]
-        if name not in tables:
-            raise ValueError(f"the report has no table {name!r}, only {', '.join(sorted(tables))}")
-        table = tables[name]
-        return f"{match[1]}\n{table.to_markdown()}\n\n{table.note} {provenance(report)}\n\n{match[3]}"
+        if name in tables:
+            return f"{match[1]}\n{tables[name]}\n\n{match[3]}"
+        if (bench if name == BENCH else report) is None:
+            return match[0]
+        raise ValueError(f"the report has no table {name!r}, only {', '.join(sorted(tables))}")
 
     return BLOCK.sub(block, text)
 
@@ -48,17 +59,49 @@ def provenance(report: Mapping[str, Any]) -> str:
     return f"Measured by `{command}` ({version}) on {machine['cores']} cores of {machine['processor']}."
 
 
+def bench_table(bench: Mapping[str, Any]) -> str:
+    """Lay the bench out, with a sentence on how it was measured."""
+    columns = (
+        Column("asked", "asked error"),
+        Column("codec", "codec"),
+        Column("bpp_geometry", "geometry, bpp", ".2f"),
+        Column("bpp_total", "total, bpp", ".2f"),
+        Column("max_error", "max error, mm", ".3f"),
+        Column("encode_ms", "encode, ms", ".0f"),
+        Column("decode_ms", "decode, ms", ".0f"),
+    )
+    rows = tuple(
+        {
+            **row,
+            "asked": f"{1e3 * row['max_error']:g} mm" if row["max_error"] else "bit-exact",
+            "max_error": None if row["max_error_m"] is None else 1e3 * row["max_error_m"],
+        }
+        for row in bench["rows"]
+    )
+    words = list(bench["command"])
+    if "--json" in words:  # where the figures went says nothing
+        del words[words.index("--json") : words.index("--json") + 2]
+    note = (
+        f"{bench['scans']} scans, {bench['points']:,} points, median of {bench['rounds']} rounds in turns, CPU ms "
+        f"a scan on one core of {bench['machine']['processor']}, by `{' '.join(words)}`. A dash: the codec keeps no "
+        "order, so no point's error is known."
+    )
+    return f"{Table(BENCH, 'Bench', columns, rows).to_markdown()}\n\n{note}"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Fill, or check, a README."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("out", type=Path, help="output folder of a run")
+    parser.add_argument("out", type=Path, nargs="?", help="output folder of a run")
+    parser.add_argument("--bench", type=Path, help="what the bench wrote with --json")
     parser.add_argument("--readme", type=Path, default=Path(__file__).parents[1] / "README.md")
     parser.add_argument("--check", action="store_true")
     asked = parser.parse_args(arguments)
-    report = json.loads((asked.out / "report" / "report.json").read_text())
     before = asked.readme.read_text(encoding="utf-8")
+    report = None if asked.out is None else json.loads((asked.out / "report" / "report.json").read_text())
+    bench = None if asked.bench is None else json.loads(asked.bench.read_text())
     try:
-        after = fill(before, report)
+        after = fill(before, report, bench)
     except ValueError as error:
         print(f"readme_figures: {error}", file=sys.stderr)
         return 2

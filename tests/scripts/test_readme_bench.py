@@ -11,12 +11,12 @@ import pytest
 
 from salpcc.stages.evaluate import bench
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "readme_bench.py"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "readme_figures.py"
 
 
 @pytest.fixture
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("readme_bench", SCRIPT)
+    spec = importlib.util.spec_from_file_location("readme_figures", SCRIPT)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -37,12 +37,14 @@ def measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_block_is_filled_and_the_rest_stays(script: ModuleType, measured: Path, tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
-    readme.write_text("# Title\n<!-- bench:begin -->\nold 9.99\n<!-- bench:end -->\nend\n")
-    arguments = [str(measured), "--readme", str(readme)]
+    readme.write_text("# Title\n<!-- figures:begin bench -->\nold 9.99\n<!-- figures:end -->\nend\n")
+    arguments = ["--bench", str(measured), "--readme", str(readme)]
     assert script.main([*arguments, "--check"]) == 1
     assert script.main(arguments) == 0
     text = readme.read_text()
-    assert text.startswith("# Title\n<!-- bench:begin -->\n") and text.endswith("<!-- bench:end -->\nend\n")
+    assert text.startswith("# Title\n<!-- figures:begin bench -->\n") and text.endswith(
+        "<!-- figures:end -->\nend\n"
+    )
     assert "| 10 mm | ours | 3.25 | 7.50 | 9.800 | 12 | 9 |" in text
     assert "| 10 mm | draco | 3.25 | 7.50 | - | 12 | 9 |" in text
     assert "9.99" not in text and "evaluate.bench --scans 0`" in text
@@ -52,5 +54,5 @@ def test_the_block_is_filled_and_the_rest_stays(script: ModuleType, measured: Pa
 def test_without_a_block_nothing_is_written(script: ModuleType, measured: Path, tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
     readme.write_text("no markers")
-    assert script.main([str(measured), "--readme", str(readme)]) == 2
+    assert script.main(["--bench", str(measured), "--readme", str(readme)]) == 2
     assert readme.read_text() == "no markers"
