@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, cast
 
 import torch
 from torch import Tensor, nn
@@ -92,33 +92,38 @@ class Trainable(nn.Module):
             {name: nn.Conv2d(inputs, outputs, size) for name, (outputs, inputs, size) in shapes.items()}
         )
         self.bits = dict.fromkeys(shapes, 8)
-        with torch.no_grad():
-            self.layers["head"].weight.mul_(0.1)  # type: ignore[union-attr, operator]
-            self.layers["head"].bias.zero_()  # type: ignore[union-attr, operator]
-            self.layers["head"].bias[-1] = 2.0  # type: ignore[index]
+        weight, bias = self.layer("head").weight, cast(Tensor, self.layer("head").bias)
+        with torch.no_grad():  # starts as the warped frame, and an error of 2**8 mm expected
+            weight.mul_(0.1)
+            bias.zero_()
+            bias[-1] = 2.0
+
+    def layer(self, name: str) -> nn.Conv2d:
+        """Return a layer's weights."""
+        return cast(nn.Conv2d, self.layers[name])
 
     def settle(self) -> None:
         """Choose each layer's power of two by its largest weight, and round from now on."""
         self.rounded = True
-        for name, layer in self.layers.items():
-            self.bits[name] = scale_bits(float(layer.weight.detach().abs().max()))  # type: ignore[union-attr, operator, arg-type]
+        for name in self.layers:
+            self.bits[name] = scale_bits(float(self.layer(name).weight.detach().abs().max()))
 
     def _activation(self, x: Tensor) -> Tensor:
         x = x.clamp(-TOP / ONE, TOP / ONE)
         return _round(x, ONE) if self.rounded else x
 
     def convolve(self, name: str, *parts: Tensor) -> Tensor:
-        layer = self.layers[name]
         x = torch.cat(parts, 1)
-        weight, bias = layer.weight, layer.bias
+        weight: Tensor = self.layer(name).weight
+        bias = cast(Tensor, self.layer(name).bias)
         if self.rounded:
             scale = float(2 ** self.bits[name])
             limit = LARGEST_WEIGHT / scale
-            weight = _round(weight.clamp(-limit, limit), scale)  # type: ignore[operator]
-            bias = _round(bias, scale * ONE)  # type: ignore[arg-type]
+            weight = _round(weight.clamp(-limit, limit), scale)
+            bias = _round(bias, scale * ONE)
         if weight.shape[-1] == 3:
             x = _pad(x)
-        return functional.conv2d(x, weight, bias)  # type: ignore[arg-type]
+        return functional.conv2d(x, weight, bias)
 
     def _index(self, x: Tensor) -> Tensor:
         return _round(x, _STEP) if self.rounded else x

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,7 +35,7 @@ def whole(clip: Clip, first: int = 0, steps: int | None = None, columns: slice =
     last = len(clip.inputs) if steps is None else first + steps
     inputs = clip.inputs[first:last]
 
-    def stack(images: Sequence[NDArray[np.integer]]) -> Tensor:  # type: ignore[type-arg]
+    def stack(images: Sequence[NDArray[Any]]) -> Tensor:
         return torch.from_numpy(np.stack([image[..., columns] for image in images]))[None]
 
     return Window(

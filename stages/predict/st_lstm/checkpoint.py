@@ -6,10 +6,12 @@ import json
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
+from typing import cast
 
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
+from torch import Tensor
 
 from salpcc.schemas.errors import SalpccError
 from salpcc.stages.predict.st_lstm.arithmetic import LARGEST_WEIGHT, ONE, Layer, Trainable
@@ -21,10 +23,10 @@ SHIPPED = Path(__file__).parent / "weights" / "st_lstm.safetensors"
 def export(numbers: Trainable) -> dict[str, Layer]:
     """Round a trained network to whole numbers, the ones that its rounded form had."""
     layers = {}
-    for name, layer in numbers.layers.items():
+    for name in numbers.layers:
         scale = 2.0 ** numbers.bits[name]
-        weight = torch.floor(layer.weight.detach().cpu().double() * scale + 0.5)  # type: ignore[union-attr, operator]
-        bias = torch.floor(layer.bias.detach().cpu().double() * scale * ONE + 0.5)  # type: ignore[union-attr, operator]
+        weight = torch.floor(numbers.layer(name).weight.detach().cpu().double() * scale + 0.5)
+        bias = torch.floor(cast(Tensor, numbers.layer(name).bias).detach().cpu().double() * scale * ONE + 0.5)
         weight = weight.clamp(-LARGEST_WEIGHT, LARGEST_WEIGHT)
         layers[name] = Layer(weight.float(), bias.float(), numbers.bits[name])
         layers[name].check(name)

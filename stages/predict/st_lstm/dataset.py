@@ -73,7 +73,7 @@ def make_clip(name: str, scans: Sequence[Scan]) -> Clip:
     points = [_kept(scan) for scan in scans]
     elevation = row_elevations(points)
     beams = directions(elevation)
-    rows = elevation * ELEVATION_UNIT
+    rows: F64 = elevation.astype(np.float64) * ELEVATION_UNIT
     frames = [nearest_of_cells(some, _ACCURACY)[1] for some in points]
     motions: list[F64 | None] = []
     inputs: list[Inputs] = []
@@ -83,7 +83,8 @@ def make_clip(name: str, scans: Sequence[Scan]) -> Clip:
         whole = scans[number].points
         if not is_raw(whole):
             guess = solve_motion(whole, guess)
-        found = find_motion(*(beams * (image.reshape(-1, 1) * _ACCURACY) for image in (last, new)), guess)
+        moving, fixed = (beams * (image.reshape(-1, 1) * _ACCURACY) for image in (last, new))
+        found = find_motion(moving, fixed, guess)
         motions.append(None if found is None else found * UNITS)
         if is_raw(whole):
             guess = motions[-1]

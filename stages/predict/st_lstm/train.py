@@ -183,7 +183,7 @@ def _improve(
         group["lr"] = rate
     loss, _, _ = loss_of(*rollout(numbers, shape, window), window, norms)
     optimiser.zero_grad()
-    loss.backward()  # type: ignore[no-untyped-call]
+    loss.backward()
     torch.nn.utils.clip_grad_norm_(numbers.parameters(), 1.0)
     optimiser.step()
     return float(loss.detach())
