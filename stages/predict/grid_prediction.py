@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
 from salpcc.stages.ingest.grid import ELEVATION_UNIT, LEVEL_LIMIT, directions
 from salpcc.stages.predict.odometry import UNITS, find_motion
-from salpcc.stages.predict.st_lstm import Memory, predict_frame
+
+if TYPE_CHECKING:
+    from salpcc.stages.predict.st_lstm import Memory
 
 _MM = 0.001
-WEIGHTS = bytes(8)  # names the network's weights
+
+
+def network_weights() -> bytes:
+    """Return the 8 bytes that name the prediction network's weights."""
+    from salpcc.stages.predict.st_lstm import load_model
+
+    return load_model().digest[:8]
 
 
 class FramePredictor:
@@ -31,6 +41,8 @@ class FramePredictor:
         if motion is None or self._last is None:
             self._memory = None
             return GridPrediction()
+        from salpcc.stages.predict.st_lstm import predict_frame  # torch: the sensor profile goes without
+
         found, self._memory = predict_frame(self._memory, self._last, motion * UNITS, self._elevation)
         level = np.floor(found.ranges * _MM / self._accuracy + 0.5)
         level[(found.ranges <= 0) | (level >= LEVEL_LIMIT)] = 0

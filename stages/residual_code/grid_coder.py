@@ -13,12 +13,12 @@ from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
 from salpcc.schemas.labels import GROUND, GROUP_OF_CLASS
 from salpcc.stages.ground_fit.grid_planes import PLANE_LIMIT, predict_ground
 from salpcc.stages.ground_fit.grid_regions import REGIONS
-from salpcc.stages.predict.grid_prediction import WEIGHTS, FramePredictor
+from salpcc.stages.predict.grid_prediction import FramePredictor, network_weights
 from salpcc.stages.predict.neighbours import ring_starts
 from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.residual_code import class_coder, intensity_coder
 from salpcc.stages.residual_code.buffer import run_encoder
-from salpcc.stages.residual_code.grid_images import IMAGE_CODERS, Images
+from salpcc.stages.residual_code.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.grid_payload import (
     CLASSES,
     ELEVATION,
@@ -29,6 +29,7 @@ from salpcc.stages.residual_code.grid_payload import (
     pack,
     unpack,
 )
+from salpcc.stages.residual_code.image_coder import Images
 from salpcc.stages.residual_code.integer_coder import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.payload import Payload
 from salpcc.stages.residual_code.range_coder import new_bits
@@ -99,7 +100,7 @@ def encode_grid(
     flags |= MOTION if predicted.motion is not None else 0
     header = GridHeader(
         flags, models.coder, sweep.n_points, len(level), sweep.accuracy, content_crc(sweep),
-        predicted.motion, WEIGHTS if predicted.motion is not None else bytes(8),
+        predicted.motion, bytes(8) if predicted.motion is None else network_weights(),
     )  # fmt: skip
     return pack(header, streams)
 
@@ -128,10 +129,10 @@ def _decode(header: GridHeader, streams: list[bytes], models: GridModels) -> Gri
         models.predictor = FramePredictor(elevation, header.accuracy)
     if models.elevation is None or models.predictor is None:
         raise ArchiveError("payload is not the first of its GOP and has no elevations before it")
-    if header.motion is not None and header.weights != WEIGHTS:
+    if header.motion is not None and header.weights != network_weights():
         raise ArchiveError(
-            f"payload was predicted with the weights {header.weights.hex()}; this version has {WEIGHTS.hex()}: "
-            "decode it with the version that wrote it"
+            f"payload was predicted with the weights {header.weights.hex()}; this version has "
+            f"{network_weights().hex()}: decode it with the version that wrote it"
         )
     predicted = models.predictor.predict(header.motion)
     images = _images(planes, predicted, models.elevation, header.accuracy)
@@ -168,8 +169,8 @@ def _images(
 ) -> Images:
     ground = predict_ground(planes, elevation, accuracy)
     if predicted.level is None or predicted.spread is None:
-        return Images(ground, _NOTHING, _CALM)
-    return Images(ground, predicted.level, predicted.spread)
+        return Images(ground, _NOTHING, _CALM, elevation, accuracy)
+    return Images(ground, predicted.level, predicted.spread, elevation, accuracy)
 
 
 def _encode_side(elevation: NDArray[np.int16] | None, planes: NDArray[np.int32]) -> bytes:

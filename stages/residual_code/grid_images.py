@@ -1,51 +1,22 @@
-"""The mask, the ground map and the levels of a range image, by one of the nine coders or by contexts."""
+"""The mask, the ground map and the residuals of range images by one of the nine coders, and all ten by name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import COLUMNS, ROWS
+from salpcc.stages.residual_code.grid_context import ContextImages
 from salpcc.stages.residual_code.grid_residuals import from_bytes, from_residuals, residuals, to_bytes
+from salpcc.stages.residual_code.image_coder import ImageCoder, Images
 from salpcc.stages.residual_code.lossless import CODERS, Lossless
 
 _CELLS = ROWS * COLUMNS
-
-
-@dataclass(frozen=True, eq=False)
-class Images:
-    """What both sides know before a frame: levels ``(64, 2000)`` of its planes and from the frames before
-    (0 for none), and how far off the latter are expected to be, 0 to 15."""
-
-    plane: NDArray[np.int32]
-    frame: NDArray[np.int32]
-    spread: NDArray[np.uint8]
-
-
-class ImageCoder(Protocol):
-    """Codes the frames of a GOP, one after the other."""
-
-    def encode(
-        self, level: NDArray[np.int32], ground: NDArray[np.bool_], images: Images
-    ) -> tuple[bytes, bytes, bytes]:
-        """Return mask, ground map and levels of a frame as bytes."""
-        ...
-
-    def decode(
-        self, mask: bytes, ground: bytes, levels: bytes, returns: int, images: Images
-    ) -> NDArray[np.int32]:
-        """Return the level image; inverse of :meth:`encode`.
-
-        Raises:
-            ArchiveError: the streams do not decode to ``returns`` levels.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -86,5 +57,6 @@ def _bits(data: bytes, n: int) -> NDArray[np.bool_]:
 
 
 IMAGE_CODERS: Mapping[str, Callable[[], ImageCoder]] = {
-    name: partial(ByteImages, coder) for name, coder in CODERS.items()
+    "context": ContextImages,
+    **{name: partial(ByteImages, coder) for name, coder in CODERS.items()},
 }
