@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Self, overload
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
@@ -92,6 +93,15 @@ class Archive:
     def config(self) -> dict[str, Any]:
         """The configuration that the archive was coded with."""
         return self._reader.facts.config
+
+    @property
+    def log(self) -> dict[int, LogChannel]:
+        """Channels of the log that the scans are from; empty where they were files."""
+        return self._reader.log
+
+    def passing(self) -> Iterator[LogMessage]:
+        """Yield the log's messages that are no scans, untouched, in its order."""
+        return self._reader.passing()
 
     @property
     def names(self) -> list[str]:

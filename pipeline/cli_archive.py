@@ -90,10 +90,11 @@ def verify(
 def _compared(verdict: dict[str, Any]) -> str:
     if verdict["against"] is None:
         return "; checksums only"
-    error = verdict["max_error_m"]
+    error, passed = verdict["max_error_m"], verdict["passed_messages"]
     return (
         f"; against {verdict['against']}: {verdict['bit_exact_scans']} scans bit-exact, "
         f"{verdict['points_dropped']} points dropped, largest error {'-' if error is None else f'{error:g} m'}"
+        + (f", {passed} messages of other topics unchanged" if passed is not None else "")
     )
 
 

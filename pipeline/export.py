@@ -1,4 +1,4 @@
-"""Write decoded scans in the formats of others: KITTI folders, MCAP PointCloud2, PLY, LAZ."""
+"""Write decoded scans in the formats of others: KITTI folders, MCAP PointCloud2, ROS 1 bags, PLY, LAZ."""
 
 from __future__ import annotations
 
@@ -6,17 +6,26 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.log_export import to_bag, to_mcap
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
-from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.point_cloud import scan_columns
 from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes
 
+_PLY = dict(
+    zip(
+        ("f4", "f8", "i1", "u1", "i2", "u2", "i4", "u4"),
+        ("float", "double", "char", "uchar", "short", "ushort", "int", "uint"),
+        strict=True,
+    )
+)
 LAZ_SCALE = 0.0001  # metres; LAZ holds integers, so it rounds
+LAZ_REACH = LAZ_SCALE * 2**30
+_FAR = 1e9  # metres; beyond the Earth, and its coordinate systems
 
 
 def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
@@ -29,38 +38,19 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Pat
         yield path
 
 
-def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
-    """Write ``out/SEQ.mcap`` with one ``sensor_msgs/msg/PointCloud2`` per scan, bits unchanged."""
-    path = out / f"{archive.sequence}.mcap"
-    with atomic(path) as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="salpcc-pipeline")
-        schema = writer.register_schema(PLAIN, "ros2msg", SCHEMA_TEXT[PLAIN].encode())
-        channel = writer.register_channel("/points", "cdr", schema, {"offered_qos_profiles": ""})
-        for place, scan in enumerate(scans):
-            data = points_to_bytes(scan.points, scan.intensity)
-            dense = bool(np.isfinite(scan.points).all())
-            message = CloudMessage(scan.time, scan.frame_id, len(scan), data, is_dense=dense)
-            writer.add_message(channel, scan.time, message.to_cdr(), scan.time, place)
-        writer.finish()
-    yield path
-
-
 def to_ply(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
-    """Write ``out/SEQ/NAME.ply`` (binary, float32), with the class of each point where there is one."""
+    """Write ``out/SEQ/NAME.ply`` (binary): all fields with their types, and the class of each point."""
     for scan in scans:
         path = out / archive.sequence / f"{scan.name}.ply"
-        columns = [(name, "<f4") for name in ("x", "y", "z", "intensity")]
+        columns = scan_columns(scan)
         if scan.classes is not None:
-            columns.append(("class", "u1"))
-        rows = np.empty(len(scan), columns)
-        for axis, name in enumerate("xyz"):
-            rows[name] = scan.points[:, axis]
-        rows["intensity"] = scan.intensity
-        if scan.classes is not None:
-            rows["class"] = scan.classes
-        kinds = {"<f4": "float", "u1": "uchar"}
-        header = "".join(f"property {kinds[kind]} {name}\n" for name, kind in columns)
+            columns["class"] = scan.classes
+        rows = np.empty(
+            len(scan), [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+        )
+        for name, values in columns.items():
+            rows[name] = values
+        header = "".join(f"property {_PLY[v.dtype.str[1:]]} {name}\n" for name, v in columns.items())
         with atomic(path) as stream:
             text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(scan)}\n{header}end_header\n"
             stream.write(text.encode() + rows.tobytes())
@@ -68,7 +58,10 @@ def to_ply(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]
 
 
 def to_laz(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
-    """Write ``out/SEQ/NAME.laz``: coordinates rounded to 0.1 mm, intensity times 65535, class as user data."""
+    """Write ``out/SEQ/NAME.laz``: coordinates rounded to 0.1 mm, intensity times 65535, class as user data.
+
+    Points that LAZ cannot hold (NaN, or far from all others) are left out.
+    """
     try:
         import laspy
     except ImportError as error:
@@ -78,10 +71,14 @@ def to_laz(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]
     for scan in scans:
         header = laspy.LasHeader(point_format=6, version="1.4")
         header.scales = np.full(3, LAZ_SCALE)
-        header.offsets = np.zeros(3)
+        columns = scan_columns(scan)
+        xyz = np.column_stack([columns[axis].astype(np.float64) for axis in "xyz"])
+        finite = np.asarray((np.abs(xyz) < _FAR).all(axis=1))  # NaN is not
+        if len(xyz[finite]) and np.abs(xyz[finite]).max() > LAZ_REACH:
+            header.offsets = np.rint(np.median(xyz[finite], axis=0))
+            finite &= np.asarray((np.abs(xyz - header.offsets) < LAZ_REACH).all(axis=1))
         las = laspy.LasData(header)
-        finite = np.isfinite(scan.points).all(axis=1)
-        las.xyz = scan.points[finite].astype(np.float64)
+        las.xyz = xyz[finite]
         las.intensity = _unit(scan.intensity[finite])
         if scan.classes is not None:
             las.user_data = scan.classes[finite]
@@ -92,6 +89,9 @@ def to_laz(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]
 
 
 def _unit(intensity: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Intensities of 0 to 1 over LAS's range; larger ones are counts and stay as they are."""
+    if np.nanmax(intensity, initial=0) > 1:
+        return np.nan_to_num(np.clip(np.rint(intensity), 0, 65535)).astype(np.uint16)
     scaled = np.nan_to_num(np.clip(intensity.astype(np.float64), 0, 1)) * 65535
     return np.rint(scaled).astype(np.uint16)
 
@@ -99,6 +99,7 @@ def _unit(intensity: NDArray[np.float32]) -> NDArray[np.uint16]:
 EXPORTS: dict[str, Callable[[Archive, Iterator[Scan], Path], Iterator[Path]]] = {
     "kitti": to_kitti,
     "mcap": to_mcap,
+    "bag": to_bag,
     "ply": to_ply,
     "laz": to_laz,
 }

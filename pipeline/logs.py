@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.schemas.config import RunConfig
-from salpcc.schemas.log import LogMessage
-from salpcc.stages.ingest.sources.bag import open_log
+from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.stages.ingest.sources.bag import find_log, open_log
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.passing import PassingLog
 
 
@@ -39,3 +43,35 @@ def passing_log(plan: SequencePlan, failed: set[str], config: RunConfig) -> Pass
                 yield message
 
     return PassingLog(log.channels.values(), messages())
+
+
+def compare_passing(reader: ArchiveReader, root: Path, scans: int | None) -> tuple[int, list[str]]:
+    """Compare what passed through with the log that it came from, byte for byte.
+
+    Args:
+        scans: messages that were coded instead, where all others should be there; None after ``--frames``.
+
+    Returns:
+        the number of messages, and what is wrong.
+
+    Raises:
+        SourceError: the log cannot be read.
+    """
+    log = open_log(find_log(root, reader.facts.sequence))
+    there = Counter(_identity(log.channels[m.channel], m) for m in log.messages())
+    try:
+        here = Counter(_identity(reader.log[m.channel], m) for m in reader.passing())
+    except ArchiveError as error:
+        return 0, [str(error)]
+    topics = Counter(topic for topic, *_ in (here - there).elements())
+    problems = [
+        f"topic {topic}: {n} messages are not those of the log" for topic, n in sorted(topics.items())
+    ]
+    if scans is not None and here.total() + scans != there.total():
+        problems.append(f"{there.total() - scans - here.total()} messages of the log are missing")
+    return here.total(), problems
+
+
+def _identity(channel: LogChannel, message: LogMessage) -> tuple[str, str, int, int, int, bytes]:
+    digest = hashlib.sha256(message.data).digest()
+    return channel.topic, channel.type, message.log_time, message.publish_time, message.sequence, digest

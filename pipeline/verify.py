@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.logs import compare_passing
 from salpcc.pipeline.plan import missing_root
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
@@ -17,6 +18,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.evaluate.match import kept_points
 from salpcc.stages.evaluate.metrics import point_errors, same_bits
+from salpcc.stages.ingest.point_cloud import same_message
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
@@ -33,6 +35,7 @@ class Verdict:
     asked_max_error_m: float | None = None
     bit_exact_scans: int = 0
     points_dropped: int = 0
+    passed_messages: int | None = None
     max_error_m: float | None = None
     problems: list[str] = field(default_factory=list)
 
@@ -64,6 +67,7 @@ def verify(path: Path, against: Path | None = None) -> Verdict:
         reader.check()
     except ArchiveError as error:
         verdict.problems.append(str(error))
+    seen: set[str] = set()
     for gop, entries in enumerate(reader.gops):
         try:
             for entry, scan in zip(entries, decode_scans(reader, gop), strict=True):
@@ -74,20 +78,33 @@ def verify(path: Path, against: Path | None = None) -> Verdict:
                         f"scan {entry.name}: {len(scan)} points, the index says {entry.kept}"
                     )
                 if refs is not None:
-                    _compare(scan, refs.get(scan.name), facts.source, facts.config, verdict)
+                    key = _key(scan.cloud.topic if scan.cloud else "", scan.name)
+                    seen.add(key)
+                    _compare(scan, refs.get(key), facts.source, facts.config, verdict)
         except (ArchiveError, ValueError) as error:
             verdict.problems.append(str(error))
+    if against is not None and reader.log and refs is not None:
+        topics = {key.split()[0] for key in seen}
+        all_coded = seen == {key for key in refs if key.split()[0] in topics}
+        passed, problems = compare_passing(reader, against, verdict.scans if all_coded else None)
+        verdict.passed_messages = passed
+        verdict.problems += problems
     return verdict
+
+
+def _key(topic: str, name: str) -> str:
+    """A scan's name; of a message, its topic and number, as names depend on how many topics were coded."""
+    return f"{topic} {name.rsplit('-')[-1]}" if topic else name
 
 
 def _sources(reader: ArchiveReader, root: Path) -> dict[str, ScanRef]:
     facts = reader.facts
     if facts.source not in SOURCES:
         raise UsageError(f"{reader.path}: made from {facts.source}, there are no files to compare with")
-    if not root.is_dir():
+    if not (root.is_dir() or (reader.log and root.exists())):
         raise UsageError(missing_root(root, facts.source))
     try:
-        return {ref.name: ref for ref in SOURCES[facts.source].scans(root, facts.sequence)}
+        return {_key(ref.topic, ref.name): ref for ref in SOURCES[facts.source].scans(root, facts.sequence)}
     except SourceError as error:
         raise UsageError(str(error)) from error
 
@@ -110,6 +127,10 @@ def _compare(scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any],
     points, intensity = source.points[kept], source.intensity[kept]
     if not same_bits(intensity, scan.intensity):
         verdict.problems.append(f"scan {scan.name}: intensity differs from {ref.path}")
+    elif not same_message(
+        source.cloud and source.cloud.keep(kept), scan.cloud, same_bits(points, scan.points)
+    ):
+        verdict.problems.append(f"scan {scan.name}: its message differs from {ref.path}")
     elif same_bits(points, scan.points):
         verdict.bit_exact_scans += 1
     elif not verdict.asked_max_error_m:

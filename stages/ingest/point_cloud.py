@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -92,6 +96,50 @@ def point_rows(scan: Scan) -> Bytes:
             kind = ">u4" if layout.big_endian else "<u4"
             rows[:, field.at] = bits.astype(kind).view(np.uint8).reshape(-1, 4)
     return rows
+
+
+def scan_columns(scan: Scan) -> dict[str, NDArray[Any]]:
+    """Return the named fields ``(N,)`` of a scan, each with its own type; x, y, z and intensity come first."""
+    columns: dict[str, NDArray[Any]] = dict(zip("xyz", scan.points.T, strict=True))
+    columns["intensity"] = scan.intensity
+    if scan.cloud is None:
+        return columns
+    layout = scan.cloud.layout
+    # A float64 coordinate or another kind of intensity stands in for its float32.
+    seen = Counter(name for name, slot in zip(columns, layout.slots, strict=True) if slot is not None)
+    for field in layout.columns:
+        name = re.sub(r"\W", "_", field.name)
+        if name:
+            columns[f"{name}_{seen[name]}" if seen[name] else name] = scan.cloud.values(field)
+            seen[name] += 1
+    return columns
+
+
+def coordinate_rounding(scan: Scan) -> float:
+    """The largest distance, in metres, of a point's float64 coordinates from its float32 ones; 0 without such."""
+    columns = scan_columns(scan)
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.column_stack([columns[axis] - scan.points[:, i] for i, axis in enumerate("xyz")])
+        distance = np.sqrt(np.square(off.astype(np.float64)).sum(axis=1))
+    finite = np.isfinite(np.column_stack([columns[axis] for axis in "xyz"])).all(axis=1)
+    return float(distance[finite].max(initial=0.0))
+
+
+def same_message(one: Cloud | None, other: Cloud | None, exact: bool = True) -> bool:
+    """Tell whether two clouds are the same in every byte; not ``exact``: float64 coordinates apart."""
+    if one is None or other is None:
+        return one is other
+    facts = [
+        (c.topic, c.encoding, c.delay, c.sequence, c.head, c.tail, c.loose, c.whole) for c in (one, other)
+    ]
+    if facts[0] != facts[1] or one.rest.shape != other.rest.shape:
+        return False
+    layout = one.layout
+    matters = np.ones(layout.point_step, np.bool_)
+    for field in layout.xyz:
+        matters[field.at] = exact
+    columns = matters[layout.rest]
+    return bool((one.rest[:, columns] == other.rest[:, columns]).all())
 
 
 def intensity_of(cloud: Cloud) -> NDArray[np.float32]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.lattice import NO_CORRECTION, unproject
 from salpcc.stages.ingest.order import azimuth_keys, in_order
+from salpcc.stages.ingest.point_cloud import coordinate_rounding
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.sweep import middle_counts, source_places, sweep_to_scan
 from salpcc.stages.ingest.untwist import twist
@@ -60,8 +61,14 @@ def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
     """Return a lossless sweep quantised so that no point is farther than ``max_error`` from its source.
 
     A return that would be farther, or out of its place in the file, becomes a stray. A bound below the
-    1 mm rounding of the published points is met by staying lossless.
+    1 mm rounding of the published points is met by staying lossless. So is one that float64 coordinates
+    of a recorded cloud eat up when they become float32; else it is made tighter by as much.
     """
+    if sweep.cloud is not None:
+        rounding = coordinate_rounding(sweep_to_scan(sweep, sensor))
+        if not rounding <= max_error / 2:
+            return sweep
+        max_error -= rounding
     if max_error < _ROUNDING and len(sweep.laser):
         return sweep
     source = sweep_to_scan(sweep, sensor)

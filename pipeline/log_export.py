@@ -1,0 +1,157 @@
+"""Write a log again: point clouds as messages, and whatever passed through with them.
+
+``--to mcap`` is for the tools of today: a folder that rosbag2 plays, whose one MCAP file Foxglove and RViz
+open. A ROS 1 log is translated to ROS 2 on the way. ``--to bag`` gives a ROS 1 log back as it was.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+
+from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.ros2 import ros2_channel
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import atomic
+from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.point_cloud import scan_to_message
+from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes
+
+_POINTS = LogChannel(
+    1, "/points", "cdr", PLAIN, "ros2msg", SCHEMA_TEXT[PLAIN].encode(), (("offered_qos_profiles", ""),)
+)
+
+
+def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
+    """Write ``out/SEQ/SEQ.mcap`` and ``metadata.yaml``: every message as recorded, ROS 1 as ROS 2.
+
+    Scans that were no messages become ``sensor_msgs/msg/PointCloud2`` of x, y, z, intensity, bits unchanged.
+    """
+    path = out / archive.sequence / f"{archive.sequence}.mcap"
+    counts: Counter[tuple[str, str, str]] = Counter()
+    first, last = 2**63, 0
+    with atomic(path) as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="salpcc-pipeline")
+        ids: dict[LogChannel, int] = {}
+        translated = {channel: ros2_channel(channel) for channel in channels(archive)}
+        for channel, (told, _) in translated.items():
+            schema = writer.register_schema(told.type, told.schema_encoding, told.schema) if told.type else 0
+            ids[channel] = writer.register_channel(told.topic, told.encoding, schema, dict(told.metadata))
+            if told.encoding == "cdr":
+                counts[told.topic, told.type, dict(told.metadata).get("offered_qos_profiles", "")] += 0
+        for channel, message in messages(archive, scans):
+            told, translate = translated[channel]
+            data = translate(message.data)
+            writer.add_message(ids[channel], message.log_time, data, message.publish_time, message.sequence)
+            first, last = min(first, message.log_time), max(last, message.log_time)
+            if told.encoding == "cdr":
+                counts[told.topic, told.type, dict(told.metadata).get("offered_qos_profiles", "")] += 1
+        writer.finish()
+    with atomic(path.with_name("metadata.yaml")) as stream:
+        stream.write(_metadata(path.name, counts, min(first, last), last).encode())
+    yield path
+
+
+def to_bag(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
+    """Write ``out/SEQ.bag``, a ROS 1 bag of the very messages that the archive was made from.
+
+    Raises:
+        UsageError: the log was no ROS 1 bag.
+    """
+    if not archive.log or any(channel.encoding != "ros1" for channel in archive.log.values()):
+        raise UsageError(f"--to bag: {archive.sequence} was no ROS 1 bag; use --to mcap")
+    path = out / f"{archive.sequence}.bag"
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    out.mkdir(parents=True, exist_ok=True)
+    part.unlink(missing_ok=True)
+    try:
+        with Rosbag1Writer(part) as writer:
+            connections = {}
+            for channel in channels(archive):
+                facts = dict(channel.metadata)
+                connections[channel] = writer.add_connection(
+                    channel.topic,
+                    channel.type.replace("/", "/msg/"),
+                    msgdef=channel.schema.decode(),
+                    md5sum=facts.get("md5sum", "*"),
+                    callerid=facts.get("callerid"),
+                    latching=int(facts["latching"]) if "latching" in facts else None,
+                )
+            for channel, message in messages(archive, scans):
+                writer.write(connections[channel], message.log_time, message.data)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    yield path
+
+
+def channels(archive: Archive) -> list[LogChannel]:
+    """The channels of the log that an archive was made of; of one with points where it was none."""
+    return list(archive.log.values()) or [_POINTS]
+
+
+def messages(archive: Archive, scans: Iterator[Scan]) -> Iterator[tuple[LogChannel, LogMessage]]:
+    """Merge scans with what passed through, each message behind earlier ones of the other kind."""
+    passing = archive.passing()
+    waiting = next(passing, None)
+    for place, scan in enumerate(scans):
+        while waiting is not None and waiting.log_time <= scan.time:
+            yield archive.log[waiting.channel], waiting
+            waiting = next(passing, None)
+        yield _message(archive, scan, place)
+    while waiting is not None:
+        yield archive.log[waiting.channel], waiting
+        waiting = next(passing, None)
+
+
+def _message(archive: Archive, scan: Scan, place: int) -> tuple[LogChannel, LogMessage]:
+    cloud = scan.cloud
+    if cloud is None:
+        data = points_to_bytes(scan.points, scan.intensity)
+        dense = bool((scan.points - scan.points == 0).all())  # neither NaN nor infinite
+        message = CloudMessage(scan.time, scan.frame_id, len(scan), data, is_dense=dense)
+        return _POINTS, LogMessage(1, scan.time, scan.time, place, message.to_cdr())
+    for channel in archive.log.values():
+        if channel.topic == cloud.topic and channel.encoding == cloud.encoding and channel.holds_clouds:
+            times = scan.time, scan.time + cloud.delay
+            return channel, LogMessage(channel.id, *times, cloud.sequence, scan_to_message(scan))
+    raise UsageError(f"{archive.sequence}: the archive does not tell of the topic {cloud.topic}")
+
+
+def _metadata(file: str, counts: Counter[tuple[str, str, str]], first: int, last: int) -> str:
+    """The metadata.yaml that makes a rosbag2 of a folder; version 5, which every distribution since Galactic reads."""
+    starts = {"starting_time": {"nanoseconds_since_epoch": first}, "duration": {"nanoseconds": last - first}}
+    total = sum(counts.values())
+    topics = [
+        {
+            "topic_metadata": {
+                "name": topic,
+                "type": kind,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": qos,
+            },
+            "message_count": count,
+        }
+        for (topic, kind, qos), count in counts.items()
+    ]
+    about = {
+        "version": 5,
+        "storage_identifier": "mcap",
+        **starts,
+        "message_count": total,
+        "topics_with_message_count": topics,
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file],
+        "files": [{"path": file, **starts, "message_count": total}],
+    }
+    return str(yaml.safe_dump({"rosbag2_bagfile_information": about}, sort_keys=False))
