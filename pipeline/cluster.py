@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import dask
 from distributed import Client, LocalCluster
 
+from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import UsageError
 
 # One thread a worker, so that workers scale; freed memory goes back at once.
@@ -31,7 +32,7 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
         scheduler: address of a running scheduler, used instead of a local cluster.
 
     Raises:
-        UsageError: the scheduler does not answer.
+        UsageError: the scheduler does not answer, or its workers run another version of this tool.
     """
     # What fails comes back as the exception of a task; Dask would print its traceback besides.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -43,6 +44,7 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
                 f"--scheduler {scheduler}: no answer; start one with `dask scheduler`"
             ) from error
         with client:
+            _same_tool(client, scheduler)
             yield client
         return
     count = workers if workers is not None else len(os.sched_getaffinity(0))
@@ -65,3 +67,19 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
         Client(cluster) as client,
     ):
         yield client
+
+
+def _same_tool(client: Client, scheduler: str) -> None:
+    """Another version on a worker could write other bytes."""
+    try:
+        there = set(client.run(_tool).values())
+    except ImportError as error:
+        raise UsageError(f"--scheduler {scheduler}: its workers lack salpcc-pipeline ({error})") from error
+    if there - {TOOL}:
+        raise UsageError(
+            f"--scheduler {scheduler}: its workers run {', '.join(sorted(there))}, this is {TOOL}"
+        )
+
+
+def _tool() -> str:
+    return TOOL

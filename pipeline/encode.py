@@ -49,6 +49,9 @@ def resolve(config: RunConfig) -> RunConfig:
         SalpccError: one of them is not there.
     """
     known = {"sensor_digest": load_sensor(config.sensor).digest}
+    for field in ("sensor", "weights"):  # a file lies where this process says, whoever reads it
+        if (file := Path(getattr(config, field))).suffix in (".json", ".safetensors"):
+            known[field] = str(file.absolute())
     if config.uses_network:
         known["weights_digest"] = weights_digest(weights_path(config.weights))
     return config.model_copy(update=known)

@@ -7,14 +7,18 @@ evaluated before new ones are begun.
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any
 
 from distributed import Client, Future, as_completed
+from distributed.comm import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from salpcc.pipeline.plan import SequencePlan
@@ -25,6 +29,9 @@ from salpcc.pipeline.tasks import GopResult, run_stage, source_digest
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError
 from salpcc.schemas.work import STAGES, GopSource, ScanError, ShardRef
+
+_COUNT_EVERY = 5.0  # seconds between looks at how many workers there are
+_SCHEDULER_GONE = (CancelledError, CommClosedError)
 
 Job = tuple[Callable[[], Future[Any]], Callable[[Future[Any]], None]]
 
@@ -68,23 +75,35 @@ class Graph:
         self._client, self._config, self._out = client, config, out
         self._options, self._report = options, report
         self._jobs: deque[Job] = deque()
-        threads = sum(client.nthreads().values()) or 1
-        # One GOP a thread in work, one waiting: enough to keep busy, little to lose or to hold.
-        self._limit = 2 * threads
+        self._limit, self._counted = 0, -inf
+
+    def _room(self) -> int:
+        """How many GOPs may be on their way: one a thread in work, one waiting. Workers come and go."""
+        if time.monotonic() > self._counted + _COUNT_EVERY:
+            self._limit = 2 * (sum(self._client.nthreads().values()) or 1)
+            self._counted = time.monotonic()
+        return self._limit
 
     def run(self, plans: list[SequencePlan]) -> list[Outcome]:
         """Run all sequences; returns what became of each.
 
         Raises:
-            SalpccError: something that is nobody's scan failed, such as the disk.
+            SalpccError: something that is nobody's scan failed, such as the disk, or the scheduler is gone.
         """
-        outcomes = [Outcome(plan) for plan in plans]
+        try:
+            return self._run([Outcome(plan) for plan in plans])
+        except _SCHEDULER_GONE as error:
+            raise SalpccError(
+                "the scheduler is gone; start it and its workers again, then run the same command again"
+            ) from error
+
+    def _run(self, outcomes: list[Outcome]) -> list[Outcome]:
         for outcome in outcomes:
             self._begin(outcome)
         running: dict[Future[Any], Callable[[Future[Any]], None]] = {}
         done = as_completed()
         while self._jobs or running:
-            while self._jobs and len(running) < self._limit:
+            while self._jobs and len(running) < self._room():
                 start, after = self._jobs.popleft()
                 future = start()
                 running[future] = after
@@ -194,7 +213,7 @@ class Graph:
     def _value(future: Future[Any]) -> Any:
         try:
             return future.result()
-        except (KilledWorker, SalpccError):
+        except (KilledWorker, SalpccError, *_SCHEDULER_GONE):
             raise
         except OSError as error:
             what = f"{error.filename}: {error.strerror}" if error.filename else str(error)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -65,8 +65,10 @@ def run_sequences(request: RunRequest) -> RunResult:
         LockedError: another run is using the output folder.
         SalpccError: something that is nobody's scan failed, such as the disk.
     """
+    # Workers may run on other machines, in other current folders.
+    request = replace(request, out=request.out.absolute())
     config = resolve(request.config)
-    root = request.root if request.root is not None else request.out / "simulated"
+    root = request.root.absolute() if request.root is not None else request.out / "simulated"
     started = datetime.now(UTC)
     with ExitStack() as stack:
         if config.source != "simulated":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -67,3 +68,14 @@ def toy_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_toy_sequence(root, "00", [0, 1, 2, 3, 4])
     write_toy_sequence(root, "01", [0, 1, 7])
     return root
+
+
+@pytest.fixture(scope="session")
+def toy() -> Callable[[Path, str, list[int]], Path]:
+    """Make a sequence of small scans by their numbers: ``toy(root, "00", [0, 1, 2])``; returns the root."""
+
+    def make(root: Path, sequence: str, numbers: list[int]) -> Path:
+        write_toy_sequence(root, sequence, numbers)
+        return root
+
+    return make

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
@@ -11,7 +14,7 @@ from salpcc.schemas.errors import SourceError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import stamp, sweeps_to_table
 from salpcc.schemas.sweep import Sweep
-from salpcc.schemas.work import GopSource, ScanError
+from salpcc.schemas.work import GopSource, ScanError, ScanRef
 from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sweep import scan_to_sweep
@@ -30,11 +33,19 @@ def run(gop: GopSource, config: RunConfig) -> pa.Table:
             scan = source.read(ref, with_labels=config.labels == "given")
             sweeps.append(project(ref.number, scan))
         except SourceError as error:
-            errors.append(ScanError(gop.sequence, ref.name, "ingest", str(error)))
+            errors.append(ScanError(gop.sequence, ref.name, "ingest", _here(str(error), ref)))
         except Exception as error:  # noqa: BLE001 (one odd scan must not take the others of its GOP with it)
             reason = f"{ref.path}: {type(error).__name__}: {error}"
-            errors.append(ScanError(gop.sequence, ref.name, "ingest", reason))
+            errors.append(ScanError(gop.sequence, ref.name, "ingest", _here(reason, ref)))
     return stamp(sweeps_to_table(sweeps), errors=[vars(error) for error in errors])
+
+
+def _here(reason: str, ref: ScanRef) -> str:
+    """Name files without their folders: a shard says nothing of the machine that wrote it."""
+    for path in (ref.path, ref.labels):
+        if path is not None:
+            reason = reason.replace(str(Path(path).parent) + os.sep, "")
+    return reason
 
 
 class Projector:
