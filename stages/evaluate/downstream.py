@@ -22,7 +22,10 @@ def registration_figures(rows: pa.Table) -> Rows:
     )
     names = {f"{key}_{how}": f"{key}_{short}" for key in errors for how, short in _SHORT.items()}
     names |= {"bpp_mean": "bpp", "source_count": "pairs"}
-    return [{names.get(key, key): value for key, value in row.items()} for row in grouped.to_pylist()]
+    found = [{names.get(key, key): value for key, value in row.items()} for row in grouped.to_pylist()]
+    return sorted(
+        found, key=lambda row: (row["sequence"] or "", row["method"] or "")
+    )  # otherwise as recorded
 
 
 def coder_figures(rows: pa.Table) -> Rows:

@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from salpcc.schemas.config import GRID_ACCURACY
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import KEPT
-from salpcc.stages.evaluate.baselines.nearest import errors_nearest
 from salpcc.stages.evaluate.confusion import class_confusion, group_counts
 from salpcc.stages.evaluate.match import kept_points
 from salpcc.stages.evaluate.metrics import point_errors, same_bits, symmetric_distance
 from salpcc.stages.evaluate.schema import METRICS, VERSION
+from salpcc.stages.ingest.grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
 
 __all__ = ["VERSION", "run"]
@@ -55,7 +55,8 @@ def run(
         dropped: by scan the class ``(N,)`` of each source point that the task dropped, KEPT elsewhere (None: it
             dropped nothing). Without it, what was kept is found again and taken for movable what was not, and
             class IoU is given only for scans that dropped nothing.
-        in_order: whether the archive keeps the order of points; else errors are to the nearest point.
+        in_order: whether the archive keeps the order of points; else it is of the grid of profile ``paper``,
+            and ``max_error`` its accuracy.
         sample: keep the first scan's points, for the pictures of the report.
 
     Raises:
@@ -79,7 +80,9 @@ def run(
             if in_order:
                 row |= _compare(source, scan, max_error, known, sample and index == 0)
             else:
-                row |= _compare_unordered(source, scan, known, sample and index == 0)
+                row |= _compare_unordered(
+                    source, scan, max_error or GRID_ACCURACY, known, sample and index == 0
+                )
         rows.append(row)
     return pa.Table.from_pylist(rows, schema=METRICS)
 
@@ -147,17 +150,27 @@ def _compare(
 
 
 def _compare_unordered(
-    source: Scan, decoded: Scan, dropped: NDArray[np.uint8] | None, sample: bool
+    source: Scan, decoded: Scan, accuracy: float, dropped: NDArray[np.uint8] | None, sample: bool
 ) -> dict[str, Any]:
-    """Measure one decoded scan of a profile that loses the order, and points, to the nearest point both ways."""
+    """Measure one decoded scan of the grid: each point against the source point that its cell kept.
+
+    The grid loses the order, and points that collide; D_d finds those too, the errors do not.
+    """
+    row: dict[str, Any] = {"in_order": False, "points_compared": len(decoded), "bit_exact": False}
+    index = source_of(decoded, source, accuracy)
+    if index is None:
+        return row | {"points_compared": 0, "max_error_m": np.inf, "intensity_exact": False}
+    errors = point_errors(source.points[index], decoded.points)
     points = source.points if dropped is None else source.points[dropped == KEPT]
-    if not len(points) or not len(decoded):
-        return {"in_order": False, "points_compared": 0, "bit_exact": False, "intensity_exact": False}
-    row = errors_nearest(points, decoded.points)
-    row |= {"in_order": False, "points_compared": len(decoded), "bit_exact": False, "intensity_exact": False}
+    row |= {
+        "max_error_m": errors.maximum,
+        "max_axis_error_m": errors.max_axis,
+        "squared_error_m2": errors.sum_of_squares,
+        "d_d_m2": symmetric_distance(points, decoded.points),
+        "intensity_exact": True,  # source_of asks for it
+    }
     if sample:
-        distance, _ = cKDTree(points, balanced_tree=False).query(decoded.points)
-        row |= _sample(decoded, np.asarray(distance))
+        row |= _sample(decoded, errors.distance)
     return row
 
 

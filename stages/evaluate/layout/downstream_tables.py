@@ -24,8 +24,8 @@ def downstream_tables(report: Report) -> list[Table]:
 def coder_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Fig. 8: CR of each lossless coder, on residuals and on the scans as they are."""
     columns = (
-        Column("what", "input"),
         Column("coder", "coder"),
+        Column("what", "input"),
         Column("settings", "settings"),
         Column("rate_percent", "CR, %", ".2f"),
         Column("encode_ms", "encode, ms", ".1f"),
@@ -43,28 +43,28 @@ def coder_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         for row in rows
     ]
     note = "CR: bytes of the coder over 16 bytes per input point, all sequences together. Times: CPU a million points."
-    return Table("fig8", "Lossless coders (Fig. 8)", columns, tuple(shown), note, grouped=True)
+    return Table("fig8", "Lossless coders (Fig. 8)", columns, tuple(shown), note, grouped="what")
 
 
 def ablation_table(number: int, study: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     """One study: a row per sequence and variant, a column per measure."""
     measures = list(dict.fromkeys(key for row in rows for key in row if key not in ("sequence", "variant")))
     columns = (
-        Column("sequence", "sequence"),
         Column("variant", "variant"),
+        Column("sequence", "sequence"),
         *(Column(measure, measure, ".4g") for measure in measures),
     )
-    return Table(f"ablation{number}", study, columns, tuple(rows), grouped=True)
+    return Table(f"ablation{number}", study, columns, tuple(rows), grouped="sequence")
 
 
 def table_5(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Mean and spread of the registration errors of consecutive scans, by cloud."""
     columns = (
-        Column("sequence", "sequence"),
-        Column("method", "ICP"),
         Column("cloud", "cloud"),
         Column("asked", "asked error"),
         Column("movable", "movables in it"),
+        Column("method", "ICP"),
+        Column("sequence", "sequence"),
         Column("bpp", "bpp", ".2f"),
         Column("pairs", "pairs", ","),
         *(
@@ -82,17 +82,22 @@ def table_5(rows: Sequence[Mapping[str, Any]]) -> Table:
         "The paper shows three pairs."
     )
     return Table(
-        "table5", "Registration of consecutive scans (Table V)", columns, tuple(shown), note, grouped=True
+        "table5",
+        "Registration of consecutive scans (Table V)",
+        columns,
+        tuple(shown),
+        note,
+        grouped="sequence",
     )
 
 
 def map_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """How clean the maps are, and what cleaning costs them."""
     columns = (
-        Column("sequence", "sequence"),
-        Column("truth", "to be removed"),
         Column("cleaner", "cleaner"),
         Column("cloud", "scans"),
+        Column("truth", "to be removed"),
+        Column("sequence", "sequence"),
         *(Column(name, name.upper(), ".4f") for name in ("sa", "da", "aa", "pr", "rr", "f1")),
         Column("scans", "scans, number", ","),
         Column("points", "points of the map", ","),
@@ -102,4 +107,4 @@ def map_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "SA, DA, AA: static, dynamic and associated accuracy of points, as in the DynamicMap benchmark; PR, RR, F1: "
         "preservation, rejection and their mean on voxels, as in ERASOR. Cleaner 'none' is plain accumulation."
     )
-    return Table("map", "Clean maps", columns, tuple(rows), note, grouped=True)
+    return Table("map", "Clean maps", columns, tuple(rows), note, grouped="sequence")

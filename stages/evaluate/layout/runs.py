@@ -39,7 +39,8 @@ class Run:
     @property
     def label(self) -> str:
         """Name the system and what was asked of it."""
-        return f"{self.system}, {accuracy_label(self.accuracy)}"
+        kept = ", movables kept" if self.config.get("keep_movable") else ""
+        return f"{self.system}, {accuracy_label(self.accuracy)}{kept}"
 
 
 def all_runs(report: Mapping[str, Any]) -> list[Run]:

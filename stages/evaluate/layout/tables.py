@@ -30,8 +30,8 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table; ``note`` is a sentence under it, ``last_is_total`` sets the last row apart,
-    ``grouped`` a row whose first cell differs from the one above."""
+    """A titled table; ``note`` is a sentence under it, ``last_is_total`` sets the last row apart, ``grouped`` (the
+    key of a column) a row that differs there from the one above. The first column stays in sight on a phone."""
 
     name: str
     title: str
@@ -39,7 +39,7 @@ class Table:
     rows: tuple[Mapping[str, Any], ...]
     note: str = ""
     last_is_total: bool = False
-    grouped: bool = False
+    grouped: str = ""
 
     def cells(self) -> list[list[str]]:
         """Every cell as text, row by row."""
@@ -48,6 +48,14 @@ class Table:
     def is_number(self, index: int) -> bool:
         """Tell whether a column is set to the right."""
         return bool(self.columns[index].form)
+
+    def starts_group(self, row: int) -> bool:
+        """Tell whether a line is drawn above a row."""
+        return (
+            bool(self.grouped)
+            and row > 0
+            and self.rows[row].get(self.grouped) != self.rows[row - 1].get(self.grouped)
+        )
 
     def to_markdown(self) -> str:
         """Write the table as GitHub Markdown, without its title."""
