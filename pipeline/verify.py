@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from salpcc.pipeline.archive import decode_scans
 from salpcc.pipeline.logs import compare_passing
 from salpcc.pipeline.plan import missing_root
+from salpcc.schemas.config import GRID_ACCURACY
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.evaluate.match import kept_points
 from salpcc.stages.evaluate.metrics import point_errors, same_bits
+from salpcc.stages.ingest.grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
@@ -119,6 +121,9 @@ def _compare(scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any],
     except SourceError as error:
         verdict.problems.append(str(error))
         return
+    if config.get("profile") == "paper":
+        _compare_grid(scan, source, ref.path, config.get("max_error") or GRID_ACCURACY, verdict)
+        return
     kept = _kept(source, scan, given and not config.get("keep_movable"), verdict.asked_max_error_m or 0.0)
     if kept is None or kept.sum() != len(scan):
         verdict.problems.append(f"scan {scan.name}: its {len(scan)} points are not those of {ref.path}")
@@ -141,6 +146,17 @@ def _compare(scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any],
         verdict.problems.append(
             f"scan {scan.name}: an error of {worst} m, {verdict.asked_max_error_m} m was asked"
         )
+
+
+def _compare_grid(scan: Scan, source: Scan, path: str, accuracy: float, verdict: Verdict) -> None:
+    """Every point of the grid must come from a source point; what the grid loses is counted with what was dropped."""
+    index = source_of(scan, source, accuracy)
+    if index is None:
+        verdict.problems.append(f"scan {scan.name}: its {len(scan)} points are not those of {path}")
+        return
+    verdict.points_dropped += len(source) - len(scan)
+    worst = point_errors(source.points[index], scan.points).maximum
+    verdict.max_error_m = max(verdict.max_error_m or 0.0, worst)
 
 
 def _kept(source: Scan, decoded: Scan, by_labels: bool, bound: float) -> NDArray[np.bool_] | None:
