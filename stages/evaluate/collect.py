@@ -46,7 +46,7 @@ def collect(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
         "coders": coder_figures(_joined(folders, "coders")),
         "ablations": ablation_figures(_joined(folders, "ablations")),
         "registration": registration_figures(_joined(folders, "registration")),
-        "map_quality": _joined(folders, "map_quality").to_pylist(),
+        "map_quality": sorted(_joined(folders, "map_quality").to_pylist(), key=_map_place),
         "failures": failures.to_pylist(),
         "errors": error_lines(failures),
     }
@@ -87,6 +87,11 @@ def error_lines(failures: pa.Table) -> list[dict[str, str]]:
         {"sequence": row["sequence"], "scan": row["name"], "stage": row["stage"], "reason": row["message"]}
         for row in failures.to_pylist()
     ]
+
+
+def _map_place(row: dict[str, Any]) -> tuple[str, str]:
+    """By sequence and kind of truth, otherwise as recorded."""
+    return row["sequence"] or "", row["truth"] or ""
 
 
 def _joined(folders: Sequence[Path], name: str) -> pa.Table:

@@ -107,4 +107,4 @@ def map_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "SA, DA, AA: static, dynamic and associated accuracy of points, as in the DynamicMap benchmark; PR, RR, F1: "
         "preservation, rejection and their mean on voxels, as in ERASOR. Cleaner 'none' is plain accumulation."
     )
-    return Table("map", "Clean maps", columns, tuple(rows), note, grouped="sequence")
+    return Table("map", "Clean maps", columns, tuple(rows), note, grouped="truth")
