@@ -98,8 +98,8 @@ def predict(
         list[Path], typer.Option(help="Root of recorded or simulated scans; may be given several times")
     ],
     out: Out = Path("weights"),
-    iterations: Annotated[int, typer.Option(min=1, help="Optimiser steps in float")] = 1500,
-    rounded: Annotated[int, typer.Option(min=0, help="Then so many with the integers' rounding")] = 200,
+    iterations: Annotated[int, typer.Option(min=1, help="Optimiser steps in float")] = 1000,
+    rounded: Annotated[int, typer.Option(min=0, help="Then so many with the integers' rounding")] = 120,
     batch: Annotated[int, typer.Option(min=1, help="Windows in a step")] = 2,
     rate: Annotated[float, typer.Option(help="Peak learning rate")] = 2e-3,
     seed: Annotated[int, typer.Option(help="Of weights and windows")] = 0,

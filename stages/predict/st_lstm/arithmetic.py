@@ -96,6 +96,7 @@ class Trainable(nn.Module):
         with torch.no_grad():  # starts as the warped frame, and an error of 2**8 mm expected
             weight.mul_(0.1)
             bias.zero_()
+            bias[len(bias) // 2 :] = 0.5
             bias[-1] = 2.0
 
     def layer(self, name: str) -> nn.Conv2d:

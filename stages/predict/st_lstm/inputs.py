@@ -16,10 +16,13 @@ from salpcc.stages.predict.st_lstm.warp import COVERED, FILLED, Image
 
 FARTHEST = 2000  # mm, offsets beyond are cut
 # Neighbours of a cell in the warped frame whose ranges the prediction may take part of.
-NEIGHBOURS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1), (0, -2), (0, 2))
+NEIGHBOURS = (
+    (0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1), (0, -2), (0, 2), (0, -3), (0, 3),
+)  # fmt: skip
 N_OFFSETS = len(NEIGHBOURS) + 4  # … the last frame unwarped, the frame before it, the last error, a constant
 N_FEATURES = 13
 _CONSTANT = 64  # mm
+_EDGE = 400  # mm; a neighbour farther off is of another surface, and no part of it helps
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +74,10 @@ def _gather(
                 r = row + neighbours[k, 0]
                 there = base[r, (column + neighbours[k, 1]) % COLUMNS] if 0 <= r < ROWS else 0
                 if there > 0:
-                    offsets[k, row, column] = _cut(there - here)
+                    if abs(there - here) < _EDGE:
+                        offsets[k, row, column] = there - here
+                    if k < 4:
+                        features[3 + k, row, column] = _squash(_cut(there - here))
             if last[row, column] > 0:
                 offsets[count, row, column] = _cut(last[row, column] - here)
                 features[10, row, column] = 128
@@ -83,8 +89,6 @@ def _gather(
             features[0, row, column] = min(int(np.sqrt(np.float64(here))), 256)
             features[1, row, column] = 128 if status[row, column] == COVERED else 0
             features[2, row, column] = 128 if status[row, column] == FILLED else 0
-            for k in range(4):
-                features[3 + k, row, column] = _squash(offsets[k, row, column])
             for k in range(3):
                 features[7 + k, row, column] = _squash(offsets[count + k, row, column])
 

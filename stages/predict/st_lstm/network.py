@@ -44,7 +44,7 @@ class Shape:
         found["highway"] = (2 * w, 2 * w, 3)
         found["leave"] = (self.handed * _CELLS, 2 * w, 1)
         found["mix"] = (self.head, self.handed + N_FEATURES, 3)
-        found["head"] = (N_OFFSETS + 1, self.head, 1)
+        found["head"] = (2 * N_OFFSETS + 1, self.head, 1)
         return found
 
 
@@ -129,8 +129,9 @@ def step(numbers: Arithmetic, shape: Shape, features: Tensor, state: State) -> t
     handed = numbers.relu(numbers.convolve("leave", below, entered))
     mixed = numbers.relu(numbers.convolve("mix", from_patches(handed), features))
     out = numbers.output(numbers.convolve("head", mixed))
-    shares = out[:, :N_OFFSETS].clamp(-1.0, 1.0)
-    return shares, 4.0 * out[:, N_OFFSETS], State(tuple(outputs), tuple(temporal), spatial, high)
+    # A share and a gate: an offset of metres that is of no use must be shut off altogether.
+    shares = out[:, :N_OFFSETS].clamp(-1.0, 1.0) * out[:, N_OFFSETS:-1].clamp(0.0, 1.0)
+    return shares, 4.0 * out[:, -1], State(tuple(outputs), tuple(temporal), spatial, high)
 
 
 def mixed_ranges(base: Tensor, offsets: Tensor, shares: Tensor) -> Tensor:

@@ -96,9 +96,9 @@ def predict_frame(
         features = torch.from_numpy(inputs.features).to(model.numbers.device).float()[None]
         state = first_state(model.shape, features) if memory is None else memory.state
         shares, spread, state = step(model.numbers, model.shape, features, state)
-        # Shares are multiples of 1/256: in those units every product and sum is a whole number below 2**24.
-        offsets = torch.from_numpy(inputs.offsets).to(model.numbers.device).float()
-        off = torch.floor((shares[0] * 256.0 * offsets).sum(0) / 256.0 + 0.5).to(torch.int32).cpu().numpy()
+        # Shares are multiples of 2**-16, so in float64 every product and sum is exact.
+        offsets = torch.from_numpy(inputs.offsets).to(model.numbers.device).double()
+        off = torch.floor((shares[0].double() * offsets).sum(0) + 0.5).to(torch.int32).cpu().numpy()
         level = torch.floor(spread[0] * 1.25).clamp(0, SPREADS - 1).to(torch.uint8).cpu().numpy()
     ranges = np.where(base > 0, np.maximum(base + off, 1), 0).astype(np.int32)
     return Prediction(ranges, level), Memory(state, last, pose, ranges)

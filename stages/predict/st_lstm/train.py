@@ -38,13 +38,13 @@ class Recipe:
         validate_every: iterations.
     """
 
-    iterations: int = 1500
-    rounded_iterations: int = 200
+    iterations: int = 1000
+    rounded_iterations: int = 120
     steps: int = 5
     columns: int = 400
     batch: int = 2
     rate: float = 2e-3
-    norms: float = 0.1
+    norms: float = 0.05
     validate_every: int = 100
     seed: int = 0
 
