@@ -30,13 +30,14 @@ def encode_scans(scans: Iterable[Scan], path: str | Path, sequence: str = "scans
     may hold no slash; names of digits are taken as frame numbers.
 
     Args:
-        options: fields of :class:`~salpcc.schemas.config.RunConfig`, e.g. ``max_error=0.01``,
-            ``keep_movable=True``. With ``labels="given"`` every scan needs its ``classes``.
+        options: fields of :class:`~salpcc.schemas.config.RunConfig`, e.g. ``max_error=0.01``. Arrays keep
+            their movable points unless ``keep_movable=False``. With ``labels="given"`` every scan needs its
+            ``classes``.
 
     Raises:
         SalpccError: an option is wrong, the sensor is unknown.
     """
-    config = resolve(RunConfig(**options))
+    config = resolve(RunConfig(**{"keep_movable": True, **options}))
     facts = ArchiveFacts(sequence, "arrays", "", config.coding, load_sensor(config.sensor))
     write_archive(Path(path), facts, _gops(iter(scans), config))
     return Path(path)
