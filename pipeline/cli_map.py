@@ -29,6 +29,9 @@ def register(app: typer.Typer) -> None:
         name="map",
         epilog="Example:  `salpcc-pipeline map out/archives/04.mcap --poses DIR/sequences/04/poses.txt --out map`",
     )(map_)
+    app.command(
+        epilog="Example:  `salpcc-pipeline localise exact/04.mcap 1cm/04.mcap --against DIR --rivals draco --out loc`"
+    )(localise)
 
 
 def map_(
@@ -114,6 +117,55 @@ def map_(
         typer.echo(f"map: {out / 'tiles'}\npictures: {out / 'pictures'}\nsummary: {out / 'map.json'}")
     if view:
         show(out)
+
+
+def localise(
+    archives: Annotated[
+        list[Path], typer.Argument(metavar="ARCHIVE…", help="The same sequences, coded in different ways")
+    ],
+    against: Annotated[Path, typer.Option(help="Data root: source scans, labels, poses.txt")],
+    out: Annotated[Path, typer.Option(help="The record for the report goes here")],
+    rivals: Annotated[str, typer.Option(help="Baselines to compare at the same bits a point")] = "none",
+    every: Annotated[int, typer.Option(min=1, help="Register every n-th pair only")] = 1,
+    thin: Annotated[int, typer.Option(min=1, help="Take every n-th point of the scan that is moved")] = 1,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    json_: Json = False,
+) -> None:
+    """Register consecutive decoded scans by ICP and measure the error, with movable things and without."""
+    from salpcc.pipeline.localise import LocaliseRequest, summary
+    from salpcc.pipeline.localise import localise as run
+    from salpcc.stages.evaluate.baselines import names as baseline_names
+
+    chosen = tuple(baseline_names(rivals))
+    rows = summary(run(LocaliseRequest(archives, against, out, chosen, every, thin, workers, scheduler)))
+    if json_:
+        typer.echo(json.dumps(rows, indent=1))
+        return
+    table = Table(title="ICP of consecutive scans", box=SIMPLE_HEAD, title_justify="left")
+    for column in (
+        "sequence",
+        "cloud",
+        "error",
+        "bpp",
+        "movables",
+        "ICP",
+        "pairs",
+        "rotation, deg",
+        "translation, m",
+    ):
+        table.add_column(column)
+    for row in rows:
+        spread = [
+            f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_spread']:.4f}" for k in ("rotation_deg", "translation_m")
+        ]
+        error = "-" if row["max_error"] is None else f"{1e3 * row['max_error']:.1f} mm"
+        bits = "-" if row["bpp"] is None else f"{row['bpp']:.2f}"
+        kept = "with" if row["movable"] else "without"
+        table.add_row(
+            row["sequence"], row["cloud"], error, bits, kept, row["method"], str(row["pairs"]), *spread
+        )
+    Console().print(table)
 
 
 def _show(rows: list[dict[str, object]]) -> None:

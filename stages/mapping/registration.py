@@ -43,7 +43,7 @@ def icp(source: NDArray[np.floating], target: NDArray[np.floating], method: Meth
     if method == "plane":
         _with_normals(fixed)
         estimate = o3d.TransformationEstimationPointToPlane()
-    rule = o3d.ICPConvergenceCriteria(relative_fitness=1e-7, relative_rmse=1e-7, max_iteration=ROUNDS)
+    rule = o3d.ICPConvergenceCriteria(relative_fitness=1e-6, relative_rmse=1e-6, max_iteration=ROUNDS)
     return np.array(o3d.registration_icp(moving, fixed, REACH, np.eye(4), estimate, rule).transformation)
 
 

@@ -1,0 +1,166 @@
+"""Localise in decoded scans: register consecutive ones and compare with ground truth (the paper's Table V)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from salpcc.pipeline.cluster import connect
+from salpcc.pipeline.flow import each
+from salpcc.pipeline.localise_tasks import Rival, Stretch, calibrate, register_stretch
+from salpcc.pipeline.lock import locked
+from salpcc.pipeline.map_plan import F64
+from salpcc.pipeline.plan import missing_root
+from salpcc.pipeline.progress import Report, Silent, bar
+from salpcc.pipeline.store import ShardStore
+from salpcc.schemas.errors import SourceError, UsageError
+from salpcc.stages.evaluate import record
+from salpcc.stages.evaluate.schema import REGISTRATION
+from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.mapping.poses import poses_of, read_poses
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+
+
+@dataclass(frozen=True)
+class LocaliseRequest:
+    """What is compared: archives of the same sequences coded in different ways, against a root with poses.
+
+    ``rivals`` are baselines that decode to as many bits a point as each archive that is not bit-exact;
+    ``every`` takes every n-th pair, ``thin`` every n-th point of the scan that is registered.
+    """
+
+    archives: list[Path]
+    against: Path
+    out: Path
+    rivals: tuple[str, ...] = ()
+    every: int = 1
+    thin: int = 1
+    workers: int | None = None
+    scheduler: str | None = None
+    quiet: bool = False
+
+
+def localise(request: LocaliseRequest) -> pa.Table:
+    """Register every pair of consecutive scans in every way; return the REGISTRATION table that is recorded.
+
+    Raises:
+        UsageError, SourceError: no root, no poses, archives that do not hold the same scans.
+    """
+    if not request.archives:
+        raise UsageError("no archive: name at least one, such as out/archives/04.mcap")
+    by_sequence: dict[str, list[ArchiveReader]] = {}
+    for path in request.archives:
+        reader = ArchiveReader(path)
+        by_sequence.setdefault(reader.facts.sequence, []).append(reader)
+    stretches = [s for readers in by_sequence.values() for s in _stretches(readers, request)]
+    with ExitStack() as stack:
+        stack.enter_context(locked(request.out))
+        ShardStore(request.out).sweep()
+        client = stack.enter_context(connect(request.workers, request.scheduler))
+        steps = sum(len(s.pairs) for s in stretches)
+        watch = nullcontext(Silent()) if request.quiet else bar(steps, client.dashboard_link)
+        report: Report = stack.enter_context(watch)
+        asked = [
+            (str(reader.path), str(request.against), name)
+            for name in request.rivals
+            for readers in by_sequence.values()
+            for reader in readers
+            if reader.facts.config.get("max_error")
+        ]
+        rivals: dict[str, list[Rival]] = {}
+        for at, rival in each(client, calibrate, asked, [f"calibrate-{Path(a[0]).stem}" for a in asked]):
+            rivals.setdefault(ArchiveReader(asked[at][0]).facts.sequence, []).append(rival)
+        ordered = {k: tuple(sorted(v, key=lambda r: (r.name, r.max_error))) for k, v in rivals.items()}
+        work = [(s, ordered.get(s.sequence, ()), request.thin, request.out) for s in stretches]
+        tables: dict[int, pa.Table] = {}
+        names = [f"register-{s.sequence}-{s.pairs[0][0]}" for s in stretches]
+        for at, ref in each(client, register_stretch, work, names):
+            tables[at] = ShardStore(request.out).read(ref)[0].replace_schema_metadata(None)
+            stretch = stretches[at]
+            report.advance(len(stretch.pairs), f"{stretch.sequence}: registered from {stretch.pairs[0][0]}")
+    table = pa.concat_tables([tables[at].cast(REGISTRATION) for at in range(len(work))])
+    record.record(request.out, registration=table)
+    return table
+
+
+def summary(table: pa.Table) -> list[dict[str, Any]]:
+    """Return mean and spread (standard deviation) of the errors by sequence, cloud and method."""
+    keys = ("sequence", "cloud", "max_error", "movable", "method")
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in table.to_pylist():
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    out = []
+    for key, rows in groups.items():
+        figures = {name: np.array([row[name] for row in rows]) for name in ("rotation_deg", "translation_m")}
+        bits = [row["bpp"] for row in rows if row["bpp"] is not None]
+        out.append(
+            {
+                **dict(zip(keys, key, strict=True)),
+                "pairs": len(rows),
+                "bpp": float(np.mean(bits)) if bits else None,
+                **{f"{name}_mean": float(v.mean()) for name, v in figures.items()},
+                **{f"{name}_spread": float(v.std()) for name, v in figures.items()},
+            }
+        )
+    return out
+
+
+def _stretches(readers: Sequence[ArchiveReader], request: LocaliseRequest) -> list[Stretch]:
+    """Cut a sequence into stretches of pairs, one per GOP of its first archive."""
+    first = readers[0]
+    facts = first.facts
+    if facts.source not in SOURCES:
+        raise UsageError(f"{first.path}: made from {facts.source}, there are no source scans to compare with")
+    if not request.against.is_dir():
+        raise UsageError(missing_root(request.against, facts.source))
+    names = [entry.name for gop in first.gops for entry in gop]
+    for reader in readers[1:]:
+        for name, other in zip(names, (e.name for gop in reader.gops for e in gop), strict=False):
+            if name != other:
+                raise SourceError(f"{reader.path}: scan {other} stands where {first.path} has {name}")
+        if sum(map(len, reader.gops)) != len(names):
+            raise SourceError(f"{reader.path}: not the {len(names)} scans of {first.path}")
+    path = request.against / "sequences" / facts.sequence / "poses.txt"
+    truth = poses_of(names, read_poses(path), path)
+    refs = {ref.name: ref for ref in SOURCES[facts.source].scans(request.against, facts.sequence)}
+    for name in names:
+        if name not in refs:
+            raise SourceError(f"{request.against}: scan {name} of sequence {facts.sequence} is not there")
+    out = []
+    at = 0
+    for gop in first.gops:
+        pairs = [
+            i
+            for i in range(at, at + len(gop))
+            if i + 1 < len(names) and i % request.every == 0 and _next(names, i)
+        ]
+        at += len(gop)
+        if pairs:
+            out.append(
+                Stretch(
+                    facts.sequence,
+                    facts.source,
+                    tuple(str(reader.path) for reader in readers),
+                    tuple((names[i], names[i + 1]) for i in pairs),
+                    tuple((i, i + 1) for i in pairs),
+                    tuple((refs[names[i]], refs[names[i + 1]]) for i in pairs),
+                    tuple(_step(truth, i) for i in pairs),
+                )
+            )
+    return out
+
+
+def _next(names: list[str], at: int) -> bool:
+    """Tell whether two neighbours in an archive are neighbours in time."""
+    a, b = names[at], names[at + 1]
+    return not (a.isdecimal() and b.isdecimal()) or int(b) == int(a) + 1
+
+
+def _step(truth: F64, at: int) -> tuple[float, ...]:
+    return tuple((np.linalg.inv(truth[at]) @ truth[at + 1]).ravel().tolist())
