@@ -44,7 +44,7 @@ def galleries(metrics: pa.Table, drawn: pa.Table) -> list[Gallery]:
         groups: dict[str, list[Picture]] = {}
         for row in rows:
             shot = Picture(row["title"], row["caption"], as_uri(row["png"]), _is_wide(row["png"]))
-            groups.setdefault(row["group"], []).append(shot)
+            groups.setdefault(f"Sequence {row['group']}", []).append(shot)
         found.append(Gallery(_FIGURES.get(figure, figure), "", groups))
     return [gallery for gallery in found if gallery.groups]
 
@@ -85,4 +85,4 @@ def _samples(metrics: pa.Table, column: str) -> pa.Table:
 def _is_wide(png: bytes) -> bool:
     """Tell from the header of a PNG whether it wants the whole width of the page."""
     width, height = struct.unpack_from(">II", png, 16)
-    return bool(width > 1.5 * height)
+    return bool(width > 2 * height)
