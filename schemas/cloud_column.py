@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,6 @@ def column_cloud(table: pa.Table, row: int, n_points: int) -> Cloud | None:
     values: dict[str, Any] | None = table.column("cloud")[row].as_py()
     if values is None:
         return None
-    values["rest"] = np.frombuffer(bytearray(values["rest"]), np.uint8).reshape(
-        n_points, -1 if n_points else 0
-    )
-    return Cloud(**values)
+    rest = np.frombuffer(bytearray(values["rest"]), np.uint8)
+    cloud = Cloud(**{**values, "rest": rest[:, None]})
+    return replace(cloud, rest=rest.reshape(n_points, len(cloud.layout.rest)))

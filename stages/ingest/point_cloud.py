@@ -117,12 +117,11 @@ def scan_columns(scan: Scan) -> dict[str, NDArray[Any]]:
 
 def coordinate_rounding(scan: Scan) -> float:
     """The largest distance, in metres, of a point's float64 coordinates from its float32 ones; 0 without such."""
-    columns = scan_columns(scan)
+    wide = [scan_columns(scan)[axis].astype(np.float64) for axis in "xyz"]
     with np.errstate(invalid="ignore", over="ignore"):
-        off = np.column_stack([columns[axis] - scan.points[:, i] for i, axis in enumerate("xyz")])
-        distance = np.sqrt(np.square(off.astype(np.float64)).sum(axis=1))
-    finite = np.isfinite(np.column_stack([columns[axis] for axis in "xyz"])).all(axis=1)
-    return float(distance[finite].max(initial=0.0))
+        # What is not finite stays so; what float32 cannot hold is infinitely far off.
+        off = [np.where(np.isfinite(v), v - scan.points[:, i], 0.0) for i, v in enumerate(wide)]
+        return float(np.sqrt(sum(np.square(axis) for axis in off)).max(initial=0.0))
 
 
 def same_message(one: Cloud | None, other: Cloud | None, exact: bool = True) -> bool:

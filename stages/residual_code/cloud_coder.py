@@ -150,7 +150,7 @@ def _rest(layout: Layout, columns: list[NDArray[Any]], n: int) -> NDArray[np.uin
         kind = field.dtype.newbyteorder(">" if layout.big_endian else "<")
         start = int(np.searchsorted(layout.rest, field.offset))
         bits = np.ascontiguousarray(values.astype(kind)) if kind.kind != "f" else _swapped(values, kind)
-        rest[:, start : start + kind.itemsize] = bits.view(np.uint8).reshape(n, -1)
+        rest[:, start : start + kind.itemsize] = bits.view(np.uint8).reshape(n, kind.itemsize)
     return rest
 
 
