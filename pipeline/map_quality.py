@@ -28,7 +28,12 @@ from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
 VERSION = 2
 # A row of the table: its name, and the bits that keep an entry out of that map.
-CLEANERS = {"none": 0, "carving": CARVED, "classes": DROPPED, "ours": CARVED | DROPPED}
+CLEANERS = {
+    "none": 0,
+    "ours, carving only": CARVED,
+    "ours, classes only": DROPPED,
+    "ours": CARVED | DROPPED,
+}
 
 
 @dataclass(frozen=True)

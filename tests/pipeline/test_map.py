@@ -1,0 +1,224 @@
+"""Maps: from a small simulated drive to tiles, the same however it is cut; wrong poses are told; Table V."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from salpcc.pipeline import map as map_module
+from salpcc.pipeline import map_tasks
+from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.encode import encode_scans
+from salpcc.pipeline.graph import GraphOptions
+from salpcc.pipeline.localise import LocaliseRequest, localise, summary
+from salpcc.pipeline.map import MapRequest, make_map
+from salpcc.pipeline.run import RunRequest, run_sequences
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import SalpccError, UsageError
+from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
+from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.mapping.config import MapConfig
+from salpcc.stages.mapping.gather import gather
+from salpcc.stages.mapping.poses import read_poses
+
+SEQUENCE, SCANS = "07", 10
+CONFIG = MapConfig(voxel=0.2, max_range=40.0, tile=25.0)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drive")
+    config = SimulationConfig(sequence=SEQUENCE, scans=SCANS, seed=5, scene="city", movers=12, speed_mps=16.0)
+    simulate_sequence(config, folder, load_sensor("hdl64e"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def archive(root: Path) -> Path:
+    config = RunConfig(source="simulated", labels="given", keep_movable=True, effort="fast", gop=5)
+    graph = GraphOptions(last="residual_code")
+    result = run_sequences(
+        RunRequest(config, [SEQUENCE], root / "out", root, workers=0, graph=graph, quiet=True)
+    )
+    assert not result.failed
+    return root / "out" / "archives" / f"{SEQUENCE}.mcap"
+
+
+@pytest.fixture(scope="module")
+def poses(root: Path) -> Path:
+    return root / "sequences" / SEQUENCE / "poses.txt"
+
+
+@pytest.fixture(scope="module")
+def request_(archive: Path, poses: Path, root: Path) -> Callable[..., MapRequest]:
+    def make(out: Path, **changes: object) -> MapRequest:
+        plain = MapRequest(
+            [archive], out, CONFIG, [str(poses)], formats=["ply"], workers=0, keep_shards=True, quiet=True
+        )
+        return replace(plain, **changes)  # type: ignore[arg-type]
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def made(request_: Callable[..., MapRequest], root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("map")
+    config = CONFIG.model_copy(update={"fill": True})
+    make_map(request_(out, config=config, against=root, formats=["laz", "ply", "pcd", "mcap"]))
+    return out
+
+
+def test_map_is_clean_and_whole(made: Path) -> None:
+    rows = json.loads((made / "map.json").read_text())["quality"]
+    figures = {(row["cleaner"], row["truth"]): row for row in rows}
+    ours, none = figures["ours", "moving"], figures["none", "moving"]
+    assert ours["sa"] > 0.99 and ours["da"] > 0.98 and ours["f1"] > 0.98
+    assert none["sa"] == 1.0 and none["da"] == 0.0
+    assert figures["ours, carving only", "moving"]["da"] > 0.5  # ten scans see through what moved, without a label
+    assert figures["ours, classes only", "movable"]["da"] > 0.95
+
+
+def test_all_formats_hold_the_same_points(made: Path) -> None:
+    summary_ = json.loads((made / "map.json").read_text())
+    total = 0
+    for tile in summary_["tiles"]:
+        las = laspy.read(made / "tiles" / f"{tile}.laz")
+        pcd = (made / "tiles" / f"{tile}.pcd").read_bytes()
+        ply = (made / "tiles" / f"{tile}.ply").read_bytes()
+        assert f"POINTS {len(las)}\n".encode() in pcd and f"vertex {len(las)}\n".encode() in ply
+        rows = np.frombuffer(ply[ply.index(b"end_header\n") + 11 :], np.uint8).reshape(len(las), 21)
+        assert pcd.endswith(rows.tobytes())
+        places = rows[:, :12].copy().view("<f4")
+        np.testing.assert_allclose(np.asarray(las.xyz), places, atol=6e-4)
+        np.testing.assert_array_equal(np.asarray(las.synthetic) == 1, np.asarray(las.user_data) == 255)
+        np.testing.assert_array_equal(np.asarray(las.count) == 0, np.asarray(las.user_data) == 255)
+        total += len(las)
+    assert total == summary_["voxels"]["kept"] > 10000
+    with open(made / "map.mcap", "rb") as stream:
+        messages = list(make_reader(stream, [DecoderFactory()]).iter_decoded_messages())
+    assert sum(message.decoded_message.width for message in messages) == total
+    assert {message.channel.topic for message in messages} == {"/map"}
+    assert len(list((made / "pictures").glob("*.png"))) == 4
+
+
+def test_map_of_the_decoded_is_map_of_the_originals(archive: Path, root: Path, poses: Path) -> None:
+    refs = SOURCES["simulated"].scans(root, SEQUENCE)[:3]
+    placed = read_poses(poses)[:3]
+    originals = gather((SOURCES["simulated"].read(ref, True) for ref in refs), range(3), placed, CONFIG)
+    decoded = gather(Archive.open(archive)[:3], range(3), placed, CONFIG)
+    assert np.array_equal(originals.voxels.xyz, decoded.voxels.xyz)
+    assert np.array_equal(originals.voxels.classes, decoded.voxels.classes)
+    assert np.array_equal(originals.voxels.count, decoded.voxels.count)
+
+
+def test_tiles_do_not_change_the_map(request_: Callable[..., MapRequest], tmp_path: Path) -> None:
+    one = make_map(request_(tmp_path / "a", config=CONFIG.model_copy(update={"tile": 200.0})))
+    many = make_map(request_(tmp_path / "b"))
+    assert len(many["tiles"]) > len(one["tiles"])
+    assert many["voxels"] == one["voxels"]
+    assert many["points_in_map"] == one["points_in_map"]
+
+
+def test_interrupted_map_goes_on_and_a_made_one_is_left(
+    request_: Callable[..., MapRequest], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = request_(tmp_path)
+    with monkeypatch.context() as broken:
+        broken.setattr(map_module, "_write", lambda *_: (_ for _ in ()).throw(OSError("disk")))
+        with pytest.raises(OSError, match="disk"):
+            make_map(asked)
+    with monkeypatch.context() as no_work:
+        no_work.setattr(map_tasks, "decode_scans", None)
+        no_work.setattr(map_tasks, "build", None)
+        first = make_map(asked)
+        assert make_map(asked) == first
+    (tmp_path / "tiles" / f"{first['tiles'][0]}.ply").unlink()
+    again = make_map(asked)
+    assert again["voxels"] == first["voxels"]
+    assert (tmp_path / "tiles" / f"{first['tiles'][0]}.ply").is_file()
+
+
+def test_movables_stay_where_asked(request_: Callable[..., MapRequest], made: Path, tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"keep_movable": True, "carve": False})
+    everything = make_map(request_(tmp_path, config=config))["voxels"]
+    clean = json.loads((made / "map.json").read_text())["voxels"]
+    assert everything["carved"] == everything["dropped"] == 0
+    assert everything["kept"] > clean["kept"] + clean["dropped"] - clean["filled"]
+
+
+def test_odometry_finds_the_drive(request_: Callable[..., MapRequest], poses: Path, tmp_path: Path) -> None:
+    make_map(request_(tmp_path, poses=[]))
+    found = np.loadtxt(tmp_path / "poses.txt").reshape(-1, 3, 4)
+    truth = read_poses(poses)
+    way = np.linalg.norm(truth[-1, :3, 3])
+    assert way > 10 and np.linalg.norm(found[-1, :, 3] - truth[-1, :3, 3]) < 0.01 * way
+
+
+def test_poses_of_another_drive_are_caught(
+    request_: Callable[..., MapRequest], poses: Path, tmp_path: Path
+) -> None:
+    lines = [line.split() for line in poses.read_text().splitlines()]
+    other = [" ".join([*row[:11], str(1.6 * float(row[11]))]) for row in lines]  # the same way, faster
+    (tmp_path / "poses.txt").write_text("\n".join(other) + "\n")
+    (tmp_path / "calib.txt").write_text(poses.with_name("calib.txt").read_text())
+    with pytest.raises(SalpccError, match=r"not the poses of these scans: from scan 00000\d to .* disagree"):
+        make_map(request_(tmp_path / "out", poses=[str(tmp_path / "poses.txt")]))
+
+
+def test_what_cannot_be_mapped_is_named(
+    request_: Callable[..., MapRequest], archive: Path, poses: Path, root: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    for lines, says in ((poses.read_text().splitlines()[:8], "none for scan 000008"), ([], "no pose in it")):
+        (tmp_path / "poses.txt").write_text("\n".join(lines) + "\n")
+        (tmp_path / "calib.txt").write_text(poses.with_name("calib.txt").read_text())
+        with pytest.raises(SalpccError, match=says):
+            make_map(request_(out, poses=[str(tmp_path / "poses.txt")]))
+    with pytest.raises(UsageError, match="2 for 1 archives"):
+        make_map(request_(out, poses=[str(poses)] * 2))
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(archive.read_bytes())
+    with pytest.raises(SalpccError, match="scan 000000 is both in"):
+        make_map(request_(out, archives=[archive, copy], poses=[]))
+    with pytest.raises(UsageError, match="not found"):
+        make_map(request_(out, against=tmp_path / "nowhere"))
+    with pytest.raises(SalpccError, match="scan 000000 of sequence 07 has no labels"):
+        bare = tmp_path / "bare" / "sequences" / SEQUENCE / "velodyne"
+        bare.mkdir(parents=True)
+        make_map(request_(out, against=tmp_path / "bare"))
+
+
+def test_archives_of_different_sensors_are_not_one_map(
+    request_: Callable[..., MapRequest], archive: Path, tmp_path: Path
+) -> None:
+    sensor = load_sensor("hdl64e")
+    other = tmp_path / "other.json"
+    other.write_text(replace(sensor, name="other", theta=sensor.theta + 1e-3).to_json())
+    scan = replace(Archive.open(archive)[0], name="000100")
+    path = encode_scans([scan], tmp_path / "other.mcap", "07", sensor=str(other), effort="fast")
+    with pytest.raises(SalpccError, match="scan 000100 is of sensor other"):
+        make_map(request_(tmp_path / "out", archives=[archive, path], poses=[]))
+
+
+def test_localisation_in_bit_exact_scans_is_that_in_the_originals(
+    archive: Path, root: Path, tmp_path: Path
+) -> None:
+    request = LocaliseRequest([archive], root, tmp_path, every=4, thin=8, workers=0, quiet=True)
+    rows = summary(localise(request))
+    by = {(row["cloud"], row["movable"], row["method"]): row for row in rows}
+    assert len(by) == 8 and all(row["pairs"] == 3 for row in rows)
+    for movable in (True, False):
+        for method in ("point to point", "point to plane"):
+            source, ours = by["source", movable, method], by["sensor", movable, method]
+            assert ours["translation_m_mean"] == source["translation_m_mean"] < 1.0
+            assert ours["rotation_deg_mean"] == source["rotation_deg_mean"]
+            assert source["bpp"] is None and 3 < ours["bpp"] < 40
