@@ -1,0 +1,88 @@
+"""What passes through an archive untouched: the messages of a log that are no point clouds of ours.
+
+They keep channel, times, number and bytes. Their channels have the ids of the log plus one, for the coded
+scans are channel 1.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Iterator
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, MessageIndex, Schema
+
+from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.mcap_chunks import compress, records, stream
+
+_CHUNK_BYTES = 1 << 22  # before compression; a larger message has a chunk of its own
+
+
+class PassingLog:
+    """The channels of a log, and its messages that pass through, handed out in chunks as time goes on."""
+
+    def __init__(self, channels: Iterable[LogChannel], messages: Iterator[LogMessage]) -> None:
+        self.channels = tuple(channels)
+        self._messages = messages
+        self._next = next(messages, None)
+
+    def until(self, time: int | None) -> Iterator[list[LogMessage]]:
+        """Yield chunks of what the log has before its first message after ``time``; None: of all that is left."""
+        chunk: list[LogMessage] = []
+        size = 0
+        while self._next is not None and (time is None or self._next.log_time <= time):
+            if chunk and size + len(self._next.data) > _CHUNK_BYTES:
+                yield chunk
+                chunk, size = [], 0
+            chunk.append(self._next)
+            size += len(self._next.data)
+            self._next = next(self._messages, None)
+        if chunk:
+            yield chunk
+
+
+def passing_records(channel: LogChannel) -> tuple[list[Schema], Channel]:
+    """Return the records that tell a channel in an archive: its schema, if it has one, and itself."""
+    number = channel.id + 1
+    schema = []
+    if channel.type or channel.schema:
+        schema.append(Schema(number, channel.schema, channel.schema_encoding, channel.type))
+    metadata = dict(channel.metadata)
+    return schema, Channel(number, channel.topic, channel.encoding, metadata, number if schema else 0)
+
+
+def passing_channel(channel: Channel, schema: Schema | None) -> LogChannel:
+    """Return the channel of the log; inverse of :func:`passing_records`."""
+    metadata = tuple(sorted(channel.metadata.items()))
+    kind = (schema.name, schema.encoding, bytes(schema.data)) if schema else ("", "", b"")
+    return LogChannel(channel.id - 1, channel.topic, channel.message_encoding, *kind, metadata)
+
+
+def passing_chunk(messages: Iterable[LogMessage]) -> tuple[Chunk, list[MessageIndex]]:
+    """Put messages into a chunk; also its indexes, one a channel."""
+    builder = RecordBuilder()
+    places: dict[int, list[tuple[int, int]]] = {}
+    for message in messages:
+        number = message.channel + 1
+        places.setdefault(number, []).append((message.log_time, builder.count))
+        Message(number, message.log_time, message.data, message.publish_time, message.sequence).write(builder)
+    data = bytes(builder.end())
+    times = [time for rows in places.values() for time, _ in rows]
+    chunk = Chunk("zstd", compress(data), max(times), min(times), zlib.crc32(data), len(data))
+    return chunk, [MessageIndex(number, rows) for number, rows in sorted(places.items())]
+
+
+def passing_messages(data: bytes, channels: dict[int, LogChannel]) -> Iterator[LogMessage]:
+    """Yield the messages of a chunk; inverse of :func:`passing_chunk`.
+
+    Raises:
+        KeyError: a message of a channel that is not there.
+    """
+    for opcode, at, content in records(data):
+        if opcode == Opcode.MESSAGE:
+            found = Message.read(stream(content), len(content))
+            channel = channels[found.channel_id - 1].id
+            yield LogMessage(
+                channel, found.log_time, found.publish_time, found.sequence, bytes(found.data), (at,)
+            )
