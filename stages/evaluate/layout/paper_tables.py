@@ -77,7 +77,7 @@ def table_2(report: Report, runs: list[Run]) -> Table:
         "CR, eq. (23), of geometry: all bytes that x, y, z need, over 16 bytes per input point, movable points "
         "dropped as each run says; octree codes them too. The accuracy of the paper's grid is its step of ranges, "
         "that of the others bounds the error. Lost: points kept by the task that share a cell with a nearer one. "
-        "Errors of the grid are to the nearest point, both ways, as lost points have no other."
+        "Errors: of the points that come back, each to its own source point."
     )
     return Table("table2", "Rates in the paper's terms (Table II)", tuple(columns), tuple(rows), note)
 

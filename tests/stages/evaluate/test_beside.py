@@ -19,6 +19,7 @@ from salpcc.schemas.shards import KEPT
 from salpcc.stages.evaluate import report, stage
 from salpcc.stages.evaluate.record import SCHEMAS, record
 from salpcc.stages.evaluate.schema import TIMES
+from salpcc.stages.ingest.grid import grid_to_scan, row_elevations, scan_to_grid
 
 Street = Callable[..., Scan]
 CAR, VEGETATION = 1, 15
@@ -35,18 +36,18 @@ def runs(
     without_movable: Callable[[Scan], Scan],
     payload_rows: Callable[..., pa.Table],
 ) -> tuple[Path, Path]:
-    """A run of the network that misses ten points, and one of the paper's profile that loses every second."""
+    """A run of the network that misses ten points, and one of the paper's profile that loses what shares a cell."""
     scan = street("000000")
     assert scan.classes is not None
     said = scan.classes.copy()
     said[np.flatnonzero(said == CAR)[:10]] = VEGETATION
     kept = without_movable(replace(scan, classes=said))
     dropped = {scan.name: np.where(said == CAR, said, np.uint8(KEPT))}
-    half = replace(kept, points=kept.points[::2], intensity=kept.intensity[::2], classes=None)
+    grid = grid_to_scan(scan_to_grid(kept, 0.005, row_elevations([kept.points])))
     times = {"sequence": "04", "gop": 0, "stage": "segment", "scans": 1, "cpu_ms": 250.0, "wall_ms": 300.0}
     for folder, back, config in (
         ("network", kept, {"labels": "network"}),
-        ("paper", half, {"profile": "paper", "max_error": 0.005, "coder": "context", "labels": "given"}),
+        ("paper", grid, {"profile": "paper", "max_error": 0.005, "coder": "context", "labels": "given"}),
     ):
         payloads = payload_rows([scan], [kept])
         metrics = stage.run(
@@ -56,6 +57,7 @@ def runs(
             sequence="04",
             gop=0,
             dropped=dropped,
+            max_error=0.005 if folder == "paper" else 0.0,
             in_order=folder == "network",
             sample=True,
         )
@@ -103,8 +105,8 @@ def test_tables_2_and_4_stand_over_runs_of_both_profiles(runs: tuple[Path, Path]
     (rate, total, lost, worst, _) = table(out, "table2")
     assert rate["sequence"] == "04" and total["sequence"] == "all"
     assert rate["run0"] == built["beside"][0]["total"]["geometry_rate_percent"]  # the paper's first
-    assert lost["run0"] == pytest.approx(50, abs=0.1) and lost["run1"] == 0
-    assert worst["run0"] > 0 and worst["run1"] == 0
+    assert 0 < lost["run0"] < 100 and lost["run1"] == 0
+    assert worst["run0"] > 5 and worst["run1"] == 0
     assert table(out, "table4")[0]["segmentation"] == 0.25
     markdown = (out / "report" / "tables.md").read_text()
     assert "paper grid, context coder, 5 mm" in markdown and "sensor profile, bit-exact" in markdown

@@ -17,6 +17,7 @@ from salpcc.schemas.shards import KEPT
 from salpcc.stages.evaluate import stage
 from salpcc.stages.evaluate.confusion import group_confusion
 from salpcc.stages.evaluate.schema import METRICS
+from salpcc.stages.ingest.grid import grid_to_scan, row_elevations, scan_to_grid
 
 Street = Callable[..., Scan]
 Rows = Callable[[list[Scan], list[Scan]], pa.Table]
@@ -75,16 +76,16 @@ def test_dropped_points_are_no_error(
         assert row["class_confusion"] is None
 
 
-def test_a_profile_that_loses_order_and_points_is_measured_by_nearest_points(
-    street: Street, payload_rows: Rows
-) -> None:
+def test_the_papers_grid_is_measured_cell_by_cell(street: Street, payload_rows: Rows) -> None:
     scan = street()
-    back = Scan(scan.name, scan.points[:0:-2] + np.float32(0.001), scan.intensity[:0:-2])
-    (row,) = measure([back], [scan], payload_rows([scan], [back]), in_order=False, sample=True)
-    assert not row["bit_exact"] and not row["in_order"] and row["points_compared"] == len(back)
-    assert 0.001 < row["max_error_m"] < 10 and max(row["sample_error_m"]) == pytest.approx(
-        3**0.5 * 0.001, rel=0.01
-    )
+    back = grid_to_scan(scan_to_grid(scan, 0.01, row_elevations([scan.points])))
+    (row,) = measure([back], [scan], payload_rows([scan], [back]), in_order=False, max_error=0.01, sample=True)
+    assert row["points_compared"] == len(back) < len(scan)
+    assert 0.005 < row["max_error_m"] < 10 and row["d_d_m2"] > 0 and len(row["sample_error_m"]) == len(back)
+    assert row["intensity_exact"] and not row["bit_exact"] and not row["in_order"]
+    moved = replace(back, points=back.points * np.float32(2))
+    (row,) = measure([moved], [scan], payload_rows([scan], [moved]), in_order=False, max_error=0.01)
+    assert row["max_error_m"] == np.inf
 
 
 def test_a_scan_without_source_still_counts_its_bytes(street: Street, payload_rows: Rows) -> None:
