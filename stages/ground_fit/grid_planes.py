@@ -71,10 +71,10 @@ def predict_ground(
 def fit_ground(sweep: GridSweep) -> NDArray[np.int32]:
     """Return the best plane of each region with enough ground, rows of region, height and slopes in units.
 
-    Candidates are the plane of all the region's ground points, those of the points near it, and the plane of
-    the region before it; the one whose ranges are nearest wins, counted in bits.
+    Candidates are the plane of all the region's ground points, and those of the points near it; the one whose
+    ranges are nearest wins, counted in bits.
     """
-    if sweep.classes is None:
+    if sweep.classes is None or not (GROUP_OF_CLASS[sweep.classes] == GROUND).any():
         return np.zeros((0, 4), np.int32)
     cell = np.flatnonzero(sweep.level.ravel())[GROUP_OF_CLASS[sweep.classes] == GROUND]
     beams, middle = directions(sweep.elevation)[cell], centres()

@@ -66,13 +66,10 @@ def encode_grid(
     level = sweep.level[rows, columns]
     starts = ring_starts(rows.astype(np.uint8), ROWS)
     tick = columns.astype(np.int32)
-    images = _images(planes, predicted, sweep.elevation, sweep.accuracy)
-    ground = np.zeros(sweep.level.shape, np.bool_)
-    if sweep.classes is not None:
-        ground[rows, columns] = GROUP_OF_CLASS[sweep.classes] == GROUND
+    images = images_of(planes, predicted, sweep.elevation, sweep.accuracy)
     streams = [
         _encode_side(sweep.elevation if flags & ELEVATION else None, planes),
-        *models.images.encode(sweep.level, ground, images),
+        *models.images.encode(sweep.level, ground_of(sweep), images),
     ]
     hundredths = intensity_levels(sweep.intensity)
     if hundredths is None:
@@ -135,7 +132,7 @@ def _decode(header: GridHeader, streams: list[bytes], models: GridModels) -> Gri
             f"{network_weights().hex()}: decode it with the version that wrote it"
         )
     predicted = models.predictor.predict(header.motion)
-    images = _images(planes, predicted, models.elevation, header.accuracy)
+    images = images_of(planes, predicted, models.elevation, header.accuracy)
     level = models.images.decode(mask, ground_map, levels, header.returns, images)
     models.predictor.learn(level)
     rows, columns = np.nonzero(level)
@@ -164,9 +161,18 @@ def _decode(header: GridHeader, streams: list[bytes], models: GridModels) -> Gri
     return sweep
 
 
-def _images(
+def ground_of(sweep: GridSweep) -> NDArray[np.bool_]:
+    """Return which cells ``(64, 2000)`` hold ground."""
+    ground = np.zeros(sweep.level.shape, np.bool_)
+    if sweep.classes is not None:
+        ground[np.nonzero(sweep.level)] = GROUP_OF_CLASS[sweep.classes] == GROUND
+    return ground
+
+
+def images_of(
     planes: NDArray[np.int32], predicted: GridPrediction, elevation: NDArray[np.int16], accuracy: float
 ) -> Images:
+    """Return what both sides know of a frame before it, from its planes ``(P, 4)`` and the frames before."""
     ground = predict_ground(planes, elevation, accuracy)
     if predicted.level is None or predicted.spread is None:
         return Images(ground, _NOTHING, _CALM, elevation, accuracy)

@@ -19,6 +19,18 @@ from salpcc.stages.residual_code.lossless import CODERS, Lossless
 _CELLS = ROWS * COLUMNS
 
 
+def plain_streams(
+    level: NDArray[np.int32], ground: NDArray[np.bool_], images: Images
+) -> tuple[bytes, bytes, bytes]:
+    """Return mask, ground map and residuals of a frame as bytes: what the nine coders are given."""
+    filled = level > 0
+    return (
+        np.packbits(filled).tobytes(),
+        np.packbits(ground[filled]).tobytes(),
+        to_bytes(residuals(level, ground, images.plane, images.frame)),
+    )
+
+
 @dataclass(frozen=True)
 class ByteImages:
     """One of the nine coders: mask and ground map as packed bits, residuals as planes of bytes."""
@@ -29,12 +41,8 @@ class ByteImages:
         self, level: NDArray[np.int32], ground: NDArray[np.bool_], images: Images
     ) -> tuple[bytes, bytes, bytes]:
         """Encode a frame; see :class:`ImageCoder`."""
-        filled = level > 0
-        return (
-            self.coder.encode(np.packbits(filled).tobytes()),
-            self.coder.encode(np.packbits(ground[filled]).tobytes()),
-            self.coder.encode(to_bytes(residuals(level, ground, images.plane, images.frame))),
-        )
+        mask, on_ground, values = plain_streams(level, ground, images)
+        return self.coder.encode(mask), self.coder.encode(on_ground), self.coder.encode(values)
 
     def decode(
         self, mask: bytes, ground: bytes, levels: bytes, returns: int, images: Images
