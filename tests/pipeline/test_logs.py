@@ -1,0 +1,367 @@
+"""Recorded logs in and out: every message of every topic comes back byte for byte."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Channel, Message, Schema
+from mcap.writer import Writer as McapWriter
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Rosbag2Writer
+from rosbags.typesys import Stores, get_typestore
+
+from salpcc.pipeline import Archive
+from salpcc.pipeline.export import EXPORTS
+from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
+from salpcc.pipeline.verify import verify
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import SourceError
+from salpcc.stages.ingest.sources.bag import Bag, find_log, open_log
+
+CLOUD, TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
+START = 1_600_000_000_000_000_000
+# name, byte offset, datatype, count
+XYZI = (("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 8, 7, 1), ("intensity", 12, 7, 1))
+ORGANISED = (("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 8, 7, 1), ("ring", 16, 4, 1), ("t", 20, 6, 1))
+WIDE = (("x", 0, 8, 1), ("y", 8, 8, 1), ("z", 16, 8, 1), ("intensity", 24, 2, 1), ("stamp", 25, 8, 1))
+Recorded = list[tuple[str, int, bytes]]
+
+
+def lattice_cloud(points: np.ndarray) -> dict[str, object]:
+    return {
+        "height": 1,
+        "width": len(points),
+        "fields": XYZI,
+        "point_step": 16,
+        "rows": points.view(np.uint8),
+    }
+
+
+def organised_cloud(seed: int) -> dict[str, object]:
+    """8 lasers by 100 columns of 32 bytes, NaN where nothing came back, garbage between the fields."""
+    rng = np.random.default_rng(seed)
+    kind = np.dtype({"names": [f[0] for f in ORGANISED], "formats": ["<f4", "<f4", "<f4", "<u2", "<u4"],
+                     "offsets": [f[1] for f in ORGANISED], "itemsize": 32})  # fmt: skip
+    rows = (
+        np.frombuffer(rng.integers(0, 256, (8, 100, 32), dtype=np.uint8).tobytes(), kind)
+        .reshape(8, 100)
+        .copy()
+    )
+    for axis in "xyz":
+        rows[axis] = np.where(rng.random((8, 100)) < 0.2, np.nan, rng.normal(0, 20, (8, 100)))
+    rows["ring"] = np.arange(8)[:, None]
+    rows["t"] = np.arange(100) * 97_650
+    return {"height": 8, "width": 100, "fields": ORGANISED, "point_step": 32, "rows": rows.view(np.uint8)}
+
+
+def wide_cloud(seed: int) -> dict[str, object]:
+    """300 big-endian points in map coordinates, which no float32 holds."""
+    rng = np.random.default_rng(seed)
+    kind = np.dtype({"names": [f[0] for f in WIDE], "formats": [">f8", ">f8", ">f8", "u1", ">f8"],
+                     "offsets": [f[1] for f in WIDE], "itemsize": 33})  # fmt: skip
+    rows = np.zeros(300, kind)
+    for axis, origin in zip("xyz", (690_000.0, 5_334_000.0, 500.0), strict=True):
+        rows[axis] = origin + rng.normal(0, 30, 300)
+    rows["intensity"] = rng.integers(0, 256, 300)
+    rows["stamp"] = 1.6e9 + 1e-5 * np.arange(300)
+    return {
+        "height": 1,
+        "width": 300,
+        "fields": WIDE,
+        "point_step": 33,
+        "rows": rows.view(np.uint8),
+        "big": True,
+    }
+
+
+def record(ros: int, clouds: dict[str, list[dict[str, object]]]) -> Iterator[tuple[str, str, int, bytes]]:
+    """Yield topic, type, time and bytes of all messages of a drive: clouds at 10 Hz, texts in between."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+    types, field = store.types, store.types["sensor_msgs/msg/PointField"]
+    serialize = store.serialize_ros1 if ros == 1 else store.serialize_cdr
+    for number in range(max(map(len, clouds.values()))):
+        time = START + number * 100_000_000
+        for topic, messages in clouds.items():
+            if number < len(messages):
+                about = messages[number]
+                data = np.ascontiguousarray(about["rows"]).ravel()
+                stamp = types["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
+                seq = {"seq": number} if ros == 1 else {}
+                message = types[CLOUD](
+                    header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=topic.strip("/"), **seq),
+                    height=about["height"],
+                    width=about["width"],
+                    fields=[field(name=n, offset=o, datatype=d, count=c) for n, o, d, c in about["fields"]],
+                    is_bigendian=about.get("big", False),
+                    point_step=about["point_step"],
+                    row_step=about["point_step"] * about["width"],
+                    data=data,
+                    is_dense=False,
+                )
+                yield topic, CLOUD, time + 2_000_000, bytes(serialize(message, CLOUD))
+        for place in range(3):
+            text = types[TEXT](data=f"text {number} {place}")
+            yield "/texts", TEXT, time + place * 30_000_000, bytes(serialize(text, TEXT))
+
+
+def write_logs(folder: Path, clouds: dict[str, list[dict[str, object]]]) -> dict[str, Recorded]:
+    """Write the same drive as a ROS 1 bag, as ROS 2 bags in SQLite and MCAP, and as a bare MCAP; what is in each."""
+    stores = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
+    recorded: dict[str, Recorded] = {}
+
+    def fill(writer: Rosbag1Writer | Rosbag2Writer, ros: int) -> Recorded:
+        rows, connections = [], {}
+        for topic, kind, time, data in sorted(record(ros, clouds), key=lambda row: row[2]):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=stores[ros])
+            writer.write(connections[topic], time, data)
+            rows.append((topic, time, data))
+        return sorted(rows)
+
+    bag1 = Rosbag1Writer(folder / "ros1.bag")
+    bag1.set_compression(bag1.CompressionFormat.LZ4)
+    with bag1:
+        recorded["ros1"] = fill(bag1, 1)
+    for name, plugin in (("sqlite", StoragePlugin.SQLITE3), ("mcap", StoragePlugin.MCAP)):
+        with Rosbag2Writer(folder / name, version=9, storage_plugin=plugin) as bag2:
+            recorded[name] = fill(bag2, 2)
+    with open(folder / "bare.mcap", "wb") as stream:
+        mcap = McapWriter(stream)
+        mcap.start("ros2", "test")
+        channels = {}
+        for topic, kind, time, data in record(2, clouds):
+            if topic not in channels:
+                text = stores[2].generate_msgdef(kind, ros_version=2)[0].encode()
+                channels[topic] = mcap.register_channel(
+                    topic, "cdr", mcap.register_schema(kind, "ros2msg", text)
+                )
+            mcap.add_message(channels[topic], time, data, time - 5, 7)
+        note = mcap.register_channel("/notes", "json", 0, {"by": "me"})
+        mcap.add_message(note, START + 1, b'{"n": 1}', START, 3)
+        mcap.add_attachment(0, 0, "a.txt", "text/plain", b"attached")
+        mcap.finish()
+    recorded["bare"] = sorted([*recorded["mcap"], ("/notes", START + 1, b'{"n": 1}')])
+    return recorded
+
+
+def read(path: Path) -> Recorded:
+    log = open_log(path)
+    return sorted((log.channels[m.channel].topic, m.log_time, m.data) for m in log.messages())
+
+
+def run_logs(root: Path, out: Path, names: list[str], **options: object) -> RunResult:
+    config = RunConfig(source="bag", keep_movable=True, effort="fast", gop=2, **options)
+    return run_sequences(RunRequest(config, names, out, root, workers=0, quiet=True))
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory, toy_root: Path) -> tuple[Path, dict[str, Recorded]]:
+    """A folder with the same drive in four kinds of log, and the messages of each."""
+    folder = tmp_path_factory.mktemp("logs")
+    scans = [
+        np.fromfile(toy_root / f"sequences/00/velodyne/{n:06d}.bin", "<f4").reshape(-1, 4) for n in range(3)
+    ]
+    clouds = {
+        "/velodyne/points": [lattice_cloud(scan) for scan in scans],
+        "/organised": [organised_cloud(n) for n in range(3)],
+        "/map": [wide_cloud(n) for n in range(2)],
+    }
+    return folder, write_logs(folder, clouds)
+
+
+@pytest.fixture(scope="module")
+def logs(drive: tuple[Path, dict[str, Recorded]]) -> Path:
+    return drive[0]
+
+
+@pytest.fixture(scope="module")
+def recorded(drive: tuple[Path, dict[str, Recorded]]) -> dict[str, Recorded]:
+    return drive[1]
+
+
+@pytest.fixture(scope="module")
+def coded(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("coded")
+    result = run_logs(logs, out, ["ros1", "sqlite", "mcap", "bare"])
+    assert not result.failed
+    return out
+
+
+NAMES = ["ros1", "sqlite", "mcap", "bare"]
+
+
+def test_logs_are_read_as_they_were_written(logs: Path, recorded: dict[str, Recorded]) -> None:
+    assert Bag().sequences(logs) == sorted(NAMES)
+    for name in NAMES:
+        assert read(find_log(logs, name)) == recorded[name]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_log_comes_back_byte_for_byte(
+    name: str, coded: Path, recorded: dict[str, Recorded], tmp_path: Path
+) -> None:
+    archive = Archive.open(coded / "archives" / f"{name}.mcap")
+    ros1 = name == "ros1"
+    (path,) = EXPORTS["bag" if ros1 else "mcap"](archive, iter(archive), tmp_path)
+    assert read(path) == recorded[name]
+
+
+def facts(schema: Schema | None, channel: Channel, message: Message) -> tuple[object, ...]:
+    told = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
+    times = message.log_time, message.publish_time, message.sequence
+    return (
+        channel.topic,
+        channel.message_encoding,
+        *times,
+        message.data,
+        *told,
+        tuple(channel.metadata.items()),
+    )
+
+
+def test_publish_times_numbers_and_channels_of_mcap_come_back(
+    logs: Path, coded: Path, tmp_path: Path
+) -> None:
+    archive = Archive.open(coded / "archives" / "bare.mcap")
+    (path,) = EXPORTS["mcap"](archive, iter(archive), tmp_path)
+    found = []
+    for file in (logs / "bare.mcap", path):
+        with file.open("rb") as stream:
+            found.append(sorted(facts(*row) for row in make_reader(stream).iter_messages()))
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("name", ["ros1", "sqlite"])
+def test_what_others_read_is_a_ros2_bag(
+    name: str, coded: Path, recorded: dict[str, Recorded], tmp_path: Path
+) -> None:
+    archive = Archive.open(coded / "archives" / f"{name}.mcap")
+    (path,) = EXPORTS["mcap"](archive, iter(archive), tmp_path)
+    clouds: dict[str, list[bytes]] = {}
+    for bag in (path, path.parent):  # the bare file, and the folder with its metadata.yaml
+        with AnyReader([bag]) as reader:
+            messages = [(c.topic, reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages()]
+            assert reader.message_count == len(messages) == len(recorded[name])
+        clouds = {}
+        for topic, message in messages:
+            if hasattr(message, "point_step"):
+                clouds.setdefault(topic, []).append(message.data.tobytes())
+    with path.open("rb") as stream:
+        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        times = [message.log_time for _, _, message, _ in decoded]
+    assert len(times) == len(recorded[name])
+    for topic, data in clouds.items():
+        sources = [raw for source, _, raw in recorded["sqlite"] if source == topic]
+        assert all(points in raw for points, raw in zip(data, sources, strict=True))
+
+
+def test_reports_and_verifies_like_any_run(logs: Path, coded: Path) -> None:
+    report = json.loads((coded / "report" / "report.json").read_text())
+    figures = report["sequences"]["sqlite"]
+    assert (figures["frames"], figures["bit_exact_scans"]) == (8, 8)
+    assert figures["points_in"] == figures["points_decoded"]
+    for name in NAMES:
+        verdict = verify(coded / "archives" / f"{name}.mcap", find_log(logs, name))
+        assert verdict.good and verdict.bit_exact_scans == 8
+        assert verdict.passed_messages == (10 if name == "bare" else 9)
+
+
+def test_verify_finds_another_message(logs: Path, coded: Path, tmp_path: Path) -> None:
+    other = tmp_path / "bare.mcap"
+    shutil.copy(logs / "bare.mcap", other)
+    data = bytearray(other.read_bytes())
+    with other.open("wb") as stream:
+        mcap = McapWriter(stream)
+        mcap.start("ros2", "test")
+        with (logs / "bare.mcap").open("rb") as source:
+            for schema, channel, message in make_reader(source).iter_messages():
+                number = mcap.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+                told = mcap.register_channel(
+                    channel.topic, channel.message_encoding, number, channel.metadata
+                )
+                raw = message.data.replace(b"text 1 1", b"text 1 2")
+                mcap.add_message(told, message.log_time, raw, message.publish_time, message.sequence)
+        mcap.finish()
+    assert len(data) and not verify(coded / "archives" / "bare.mcap", other).good
+
+
+def test_a_bound_holds_and_the_topics_asked_for_are_coded(
+    logs: Path, recorded: dict[str, Recorded], tmp_path: Path
+) -> None:
+    result = run_logs(logs, tmp_path, ["sqlite"], max_error=0.02, topics=("/organised", "/velodyne/points"))
+    assert not result.failed and result.report is not None
+    assert 0 < result.report["sequences"]["sqlite"]["max_error_m"] <= 0.02
+    archive = Archive.open(tmp_path / "archives" / "sqlite.mcap")
+    assert archive.names == [f"{t}-{n:06d}" for t, n in (("organised", 0), ("organised", 1), ("velodyne_points", 0),
+                                                        ("velodyne_points", 1), ("organised", 2), ("velodyne_points", 2))]  # fmt: skip
+    scan = archive[0]
+    assert scan.cloud is not None and (scan.cloud.layout.height, scan.cloud.layout.width) == (8, 100)
+    assert 0.1 < np.isnan(scan.points[:, 0]).mean() < 0.3
+    (path,) = EXPORTS["mcap"](archive, iter(archive), tmp_path)
+    untouched = [row for row in recorded["sqlite"] if row[0] in ("/map", "/texts")]
+    assert [row for row in read(path) if row[0] in ("/map", "/texts")] == untouched
+    for kind in ("kitti", "ply", "laz"):
+        assert len(list(EXPORTS[kind](archive, iter(archive), tmp_path))) == 6
+
+
+def test_a_cloud_that_cannot_be_read_passes_through(toy_root: Path, tmp_path: Path) -> None:
+    scan = np.fromfile(toy_root / "sequences/00/velodyne/000000.bin", "<f4").reshape(-1, 4)[:500]
+    good, odd = lattice_cloud(scan), {**lattice_cloud(scan), "fields": XYZI[:2]}
+    recorded = write_logs(tmp_path, {"/points": [good, odd, good]})
+    result = run_logs(tmp_path, tmp_path / "out", ["mcap"])
+    (error,) = result.errors
+    assert error.scan == "000001" and "no field z" in error.reason
+    archive = Archive.open(tmp_path / "out" / "archives" / "mcap.mcap")
+    (path,) = EXPORTS["mcap"](archive, iter(archive), tmp_path / "back")
+    assert read(path) == recorded["mcap"]
+
+
+def test_hostile_logs_give_one_clear_error(logs: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    for name in NAMES:
+        source = find_log(logs, name)
+        path = tmp_path / source.name
+        for number in range(12):
+            shutil.rmtree(path, ignore_errors=True)
+            path.unlink(missing_ok=True) if path.is_file() else None
+            shutil.copytree(source, path) if source.is_dir() else shutil.copy(source, path)
+            file = next(f for f in path.iterdir() if f.suffix != ".yaml") if path.is_dir() else path
+            raw = bytearray(file.read_bytes())
+            if number % 3 == 0:
+                raw = raw[: rng.integers(0, len(raw))]
+            else:
+                for place in rng.integers(0, 4096 if number % 3 == 1 else len(raw), 4):
+                    raw[place % len(raw)] ^= int(rng.integers(1, 256))
+            file.write_bytes(raw)
+            try:
+                for ref in Bag().scans(tmp_path, name):
+                    Bag().read(ref, with_labels=False)
+            except SourceError as error:
+                assert "\n" not in str(error).strip() and path.name in str(error)
+
+
+def test_real_scans_come_back_from_every_kind_of_log(real_data: Path, tmp_path: Path) -> None:
+    kitti = np.fromfile(real_data / "semantickitti/sequences/04/velodyne/000000.bin", "<f4").reshape(-1, 4)
+    nuscenes = np.fromfile(real_data / "other_sensors/nuscenes_lidar_top.pcd.bin", "<f4").reshape(-1, 5)
+    fields = (*XYZI, ("ring", 16, 7, 1))
+    sweep = {
+        "height": 1,
+        "width": len(nuscenes),
+        "fields": fields,
+        "point_step": 20,
+        "rows": nuscenes.view("u1"),
+    }
+    recorded = write_logs(tmp_path, {"/kitti": [lattice_cloud(kitti)], "/nuscenes": [sweep]})
+    assert not run_logs(tmp_path, tmp_path / "out", ["ros1", "bare"]).failed
+    for name in ("ros1", "bare"):
+        archive = Archive.open(tmp_path / "out" / "archives" / f"{name}.mcap")
+        assert sum(len(scan.cloud.rest) for scan in archive if scan.cloud) == len(kitti) + len(nuscenes)
+        (path,) = EXPORTS["bag" if name == "ros1" else "mcap"](archive, iter(archive), tmp_path / "back")
+        assert read(path) == recorded[name]
