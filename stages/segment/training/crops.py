@@ -52,7 +52,11 @@ def mirror(crop: Crop, columns: int) -> Crop:
 def distort(crop: Crop, rng: np.random.Generator) -> Crop:
     """Turn, scale, brighten and thin out a crop at random."""
     planes = crop.planes.copy()
-    rotate(planes, rng.normal(0.0, 0.35) + (np.pi if rng.random() < 0.5 else 0.0))
+    # Mostly along the road or against it, where the heading tells something; at times any way at all.
+    rotate(
+        planes,
+        rng.uniform(-np.pi, np.pi) if rng.random() < 0.4 else rng.normal(0.0, 0.35) + np.pi * rng.integers(2),
+    )
     planes[[X, Y, Z, RANGE, HEIGHT]] *= np.float32(rng.uniform(0.93, 1.07))
     lift = np.float32(rng.normal(0.0, 0.08))
     planes[Z] += lift
@@ -60,7 +64,13 @@ def distort(crop: Crop, rng: np.random.Generator) -> Crop:
     stretch = 1.0 + noise / np.maximum(planes[RANGE], 1.0)
     planes[[X, Y, Z, RANGE]] *= stretch
     planes[HEIGHT] += rng.normal(0.0, 0.04)
-    bright = planes[INTENSITY] ** rng.uniform(0.8, 1.25) * rng.uniform(0.8, 1.2)
+    wide = rng.random() < 0.25  # another sensor's calibration
+    power, gain = (
+        (rng.uniform(0.5, 2.0), rng.uniform(0.5, 1.5))
+        if wide
+        else (rng.uniform(0.8, 1.25), rng.uniform(0.8, 1.2))
+    )
+    bright = planes[INTENSITY] ** power * gain
     planes[INTENSITY] = bright + rng.normal(0.0, 0.02, bright.shape)
     planes[INTENSITY] = planes[INTENSITY].clip(0.0, 1.0)
 

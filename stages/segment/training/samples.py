@@ -24,8 +24,8 @@ IGNORED = -1
 _BANK = 400  # instances kept of each class
 _LEAST_RETURNS = 500
 # Cars are plenty; of the others there are a handful each.
-_PASTE_WEIGHT = {"car": 1.0, "truck": 0.5, "other-vehicle": 0.5, "person": 0.25}
-_OTHER_WEIGHT = 0.15
+_PASTE_WEIGHT = {"car": 1.0, "truck": 0.35, "other-vehicle": 0.35, "person": 0.15}
+_OTHER_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class SampleConfig:
     """
 
     width: int = 512
-    mixed: float = 0.35
-    pasted: float = 0.7
-    most_pasted: int = 6
+    mixed: float = 0.25
+    pasted: float = 0.35
+    most_pasted: int = 3
     from_donors: float = 0.4
     distorted: bool = True
 

@@ -1,0 +1,24 @@
+"""Heights above the ground: objects stand on it, slopes do not fool it."""
+
+import numpy as np
+import pytest
+
+from salpcc.stages.segment.ground_height import height_above_ground
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.06])
+def test_a_box_on_a_slope(slope: float) -> None:
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-30, 30, (40000, 2)), np.zeros(40000)])
+    box = np.column_stack([rng.uniform(8, 11, (800, 2)), rng.uniform(0.3, 1.5, 800)])
+    cloud = np.concatenate([floor, box])
+    cloud[:, 2] += slope * cloud[:, 0] - 1.7
+    height = height_above_ground(cloud.astype(np.float32), cloud.astype(np.float32))
+    inner = np.abs(cloud[:, :2]).max(axis=1) < 25
+    assert np.abs(height[inner & (np.arange(len(cloud)) < 40000)]).max() < 0.1 + 3 * slope
+    assert np.abs(height[40000:] - box[:, 2]).max() < 0.1 + 3 * slope
+
+
+def test_no_points_at_all() -> None:
+    nothing = np.zeros((0, 3), np.float32)
+    assert height_above_ground(nothing, np.ones((2, 3), np.float32)).tolist() == [1, 1]

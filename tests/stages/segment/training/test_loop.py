@@ -1,0 +1,87 @@
+"""A training in small: the loss falls, a checkpoint goes on where it was, the weights that come out label."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from salpcc.schemas.errors import SourceError, UsageError
+from salpcc.stages.segment import network
+from salpcc.stages.segment.checkpoint import load_weights
+from salpcc.stages.segment.network import NetworkConfig
+from salpcc.stages.segment.segmenter import label_points
+from salpcc.stages.segment.training.labelled import LabelledScans, list_labelled
+from salpcc.stages.segment.training.loop import Recipe, Trainer, train_segment
+from salpcc.stages.segment.training.samples import SampleConfig, Samples
+
+TINY = NetworkConfig("tiny", 4, 8, 4, 1, (8, 8, 8), 1024, 16, (16, 16), 1)
+RECIPE = Recipe("tiny", steps=24, batch=2, rate=5e-3, workers=0, every=12, samples=SampleConfig(width=128))
+
+
+@pytest.fixture(autouse=True)
+def tiny_width(monkeypatch) -> None:
+    monkeypatch.setitem(network.WIDTHS, "tiny", TINY)
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory, sensor) -> Path:
+    from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
+
+    root = tmp_path_factory.mktemp("street")
+    simulate_sequence(SimulationConfig("00", scans=1, seed=1, scene="suburb"), root, sensor)
+    simulate_sequence(SimulationConfig("01", scans=1, seed=2, scene="suburb"), root, sensor)
+    return root
+
+
+def test_training_learns_and_leaves_weights(street: Path, tmp_path: Path) -> None:
+    refs, held_out = list_labelled(street, leave_out=["01"]), list_labelled(street, ["01"])
+    lines: list[str] = []
+    path = train_segment(refs, held_out, tmp_path, RECIPE, donors=held_out, log=lines.append)
+    log = (tmp_path / "training.csv").read_text().splitlines()
+    assert len(log) == 3 and log[0].startswith("step,rate,loss") and len(lines) == 3
+    first, last = (float(row.split(",")[2]) for row in log[1:])
+    assert last < 0.95 * first
+    trained, facts = load_weights(path)
+    assert facts["sequences"] == ["00"] and facts["step"] == 24 and 0 <= facts["ground"] <= 1
+    points = np.random.default_rng(0).normal(0, 10, (200, 3)).astype(np.float32)
+    assert len(label_points(trained, points, np.zeros(200, np.float32))) == 200
+
+
+def test_a_checkpoint_goes_on(street: Path, tmp_path: Path) -> None:
+    refs = list_labelled(street)
+    batch = Samples(refs, TINY, 2, 0, RECIPE.samples).draw(np.random.default_rng(0))
+    straight = Trainer(RECIPE, refs)
+    for _ in range(3):
+        straight.take_step(batch)
+    straight.save(tmp_path / "checkpoint.safetensors")
+    resumed = Trainer(RECIPE, refs)
+    resumed.resume(tmp_path / "checkpoint.safetensors")
+    assert resumed.step == 3
+    losses = []
+    for one in (straight, resumed):
+        torch.manual_seed(1)  # of the dropout
+        losses.append(one.take_step(batch))
+    assert abs(losses[0] - losses[1]) < 1e-5
+    for name, value in straight.average.items():
+        assert torch.allclose(value.float(), resumed.average[name].float(), atol=1e-5), name
+    with pytest.raises(UsageError, match="another recipe"):
+        Trainer(replace(RECIPE, seed=9), refs).resume(tmp_path / "checkpoint.safetensors")
+    with pytest.raises(UsageError, match="not there"):
+        resumed.resume(tmp_path / "nothing.safetensors")
+
+
+def test_crops_follow_the_seed(street: Path) -> None:
+    samples = [Samples(list_labelled(street), TINY, 2, 7, RECIPE.samples) for _ in range(2)]
+    first, second = (next(iter(one)) for one in samples)
+    assert torch.equal(first.features, second.features) and torch.equal(first.targets, second.targets)
+    assert first.targets.min() >= -1 and first.targets.max() < 19
+
+
+def test_scans_are_read_as_they_are_needed(street: Path, toy_root: Path) -> None:
+    scans = LabelledScans(list_labelled(street), memory=1)
+    assert scans[0] is scans[0] and scans[1] is scans[1] and scans[0] is not scans[1]
+    assert (scans[0].instances > 0).any() and not scans[0].instances[scans[0].classes == 9].any()
+    with pytest.raises(SourceError, match="no labelled scans"):
+        list_labelled(toy_root, leave_out=["00", "01"])
