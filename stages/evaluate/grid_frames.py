@@ -19,11 +19,12 @@ from salpcc.schemas.grid_shards import (
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import sweeps_to_table
 from salpcc.stages.ground_fit import stage as ground_fit
+from salpcc.stages.ground_fit.grid_planes import ground_of
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.predict import stage as predict
-from salpcc.stages.residual_code.grid_coder import ground_of, images_of
+from salpcc.stages.residual_code.grid_coder import images_of
 from salpcc.stages.residual_code.image_coder import Images
 from salpcc.stages.segment import stage as segment
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-VERSION = 3
+VERSION = 4
 
 # One row per scan, measured on what was decoded from the archive. A null in a measured column means that
 # there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
@@ -46,7 +46,7 @@ METRICS = pa.schema(
         ("sample_points", pa.list_(pa.float32())),  # decoded x, y, z, flat
         ("sample_error_m", pa.list_(pa.float32())),
         ("sample_classes", pa.list_(pa.uint8())),
-        ("sample_source", pa.list_(pa.float32())),  # of the source, where both classes are known
+        ("sample_source", pa.list_(pa.int16())),  # of the source in centimetres, where both classes are known
         ("sample_truth", pa.list_(pa.uint8())),
         ("sample_predicted", pa.list_(pa.uint8())),  # dropped points included
     ]

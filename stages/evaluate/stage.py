@@ -209,6 +209,8 @@ def _segmentation(
     if counts is not None:
         row["class_confusion"] = counts.ravel()
     if sample:
-        row |= {"sample_source": source.points.ravel(), "sample_truth": source.classes}
+        centimetres = np.nan_to_num(np.rint(100.0 * source.points), posinf=0.0, neginf=0.0)
+        row |= {"sample_source": np.clip(centimetres, -32767, 32767).astype(np.int16).ravel()}
+        row["sample_truth"] = source.classes
         row["sample_predicted"] = predicted
     return row

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -72,7 +73,7 @@ def _segmentations(metrics: pa.Table) -> dict[str, list[Picture]]:
         points, truth, predicted = (list_array(samples, key, row) for key in keys)
         assert points is not None and truth is not None and predicted is not None
         pictures[f"Sequence {sequence}"] = segmentation_pictures(
-            f"{sequence}/{name}", points.reshape(-1, 3), truth, predicted
+            f"{sequence}/{name}", (points.reshape(-1, 3) / 100).astype(np.float32), truth, predicted
         )
     return pictures
 
