@@ -91,7 +91,8 @@ def to_laz(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]
 def _unit(intensity: NDArray[np.float32]) -> NDArray[np.uint16]:
     """Intensities of 0 to 1 over LAS's range; larger ones are counts and stay as they are."""
     if np.nanmax(intensity, initial=0) > 1:
-        return np.nan_to_num(np.clip(np.rint(intensity), 0, 65535)).astype(np.uint16)
+        counts: NDArray[np.uint16] = np.nan_to_num(np.clip(np.rint(intensity), 0, 65535)).astype(np.uint16)
+        return counts
     scaled = np.nan_to_num(np.clip(intensity.astype(np.float64), 0, 1)) * 65535
     return np.rint(scaled).astype(np.uint16)
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 CDR, ROS1 = "cdr", "ros1"
 MAX_POINTS = 1 << 22
 MAX_ENVELOPE = 1 << 16  # head, tail and topic
-MAX_POINT_STEP = 1 << 13
-MAX_BYTES = 1 << 28  # of the points of one message; the largest sensors need a tenth
+MAX_POINT_STEP = 1 << 12
+MAX_BYTES = 1 << 27  # of the points of one message; the largest sensors need a third
 _MAX_FIELDS = 1024
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _FLOAT32, _FLOAT64 = 7, 8

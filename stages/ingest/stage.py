@@ -19,7 +19,7 @@ from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sweep import scan_to_sweep
 
-VERSION = 1
+VERSION = 2
 
 
 def run(gop: GopSource, config: RunConfig) -> pa.Table:

@@ -11,20 +11,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.cloud import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Cloud, Layout, LayoutError
 from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.residual_code.byte_coder import decode_bytes, encode_bytes
 from salpcc.stages.residual_code.field_coder import Points, decode_field, encode_field
-from salpcc.stages.residual_code.range_coder import (
-    decode_bit,
-    encode_bit,
-    finish_encoder,
-    new_bits,
-    start_decoder,
-    start_encoder,
-)
 
 _WHOLE, _ROS1 = 1, 2
 _NUMBERS = struct.Struct("<qI")
@@ -48,8 +40,8 @@ def encode_cloud(
     """
     topic = cloud.topic.encode()
     envelope = _NUMBERS.pack(cloud.delay, cloud.sequence) + topic + cloud.head + cloud.tail
-    code = _encode_bytes(envelope, before)
-    loose = _encode_bytes(cloud.loose, bytearray())
+    code = encode_bytes(envelope, before)
+    loose = encode_bytes(cloud.loose, bytearray())
     layout = cloud.layout
     known = points_of(points, cloud)
     flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1
@@ -89,7 +81,7 @@ def decode_cloud(
     if flags > 3 or n_topic + n_head + n_tail > MAX_ENVELOPE or at > len(section):
         raise ArchiveError("payload does not decode")
     code = section[_SECTION.size : _SECTION.size + n_code]
-    envelope = _decode_bytes(code, _NUMBERS.size + n_topic + n_head + n_tail, before)
+    envelope = decode_bytes(code, _NUMBERS.size + n_topic + n_head + n_tail, before)
     delay, sequence = _NUMBERS.unpack_from(envelope)
     envelope = envelope[_NUMBERS.size :]
     head, tail = envelope[n_topic : n_topic + n_head], envelope[n_topic + n_head :]
@@ -114,7 +106,7 @@ def decode_cloud(
         raise ArchiveError("payload holds a message of other points")
     if cloud.whole:
         raw = section[at - n_loose : at]
-        cloud = replace(cloud, loose=_decode_bytes(raw, layout.loose_length, bytearray()))
+        cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
     known = points_of(points, cloud)
     columns = []
     for field, base in _columns(layout, points):
@@ -158,62 +150,3 @@ def _swapped(values: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
     """Floats in another byte order as integers, so that no bit of a NaN changes on the way."""
     whole = np.dtype(f"u{kind.itemsize}")
     return np.ascontiguousarray(values).view(whole).astype(whole.newbyteorder(kind.byteorder))
-
-
-@njit(cache=True)
-def _encode(
-    now: NDArray[np.uint8], before: NDArray[np.uint8], bits: NDArray[np.uint16], out: NDArray[np.uint8]
-) -> int:
-    state = start_encoder()
-    same = 1
-    for i in range(len(now)):
-        expected = before[i] if i < len(before) else np.uint8(0)
-        hit = 1 if now[i] == expected else 0
-        encode_bit(state, out, bits, 256 + same, hit)
-        same = hit
-        node = 1
-        if hit == 0:
-            for shift in range(7, -1, -1):
-                bit = (np.int64(now[i]) >> shift) & 1
-                encode_bit(state, out, bits, node, bit)
-                node = node * 2 + bit
-    return finish_encoder(state, out)
-
-
-@njit(cache=True)
-def _decode(
-    now: NDArray[np.uint8], before: NDArray[np.uint8], bits: NDArray[np.uint16], data: NDArray[np.uint8]
-) -> bool:
-    state = start_decoder(data)
-    same = 1
-    for i in range(len(now)):
-        same = decode_bit(state, data, bits, 256 + same)
-        if same == 1:
-            now[i] = before[i] if i < len(before) else np.uint8(0)
-        else:
-            node = 1
-            for _ in range(8):
-                node = node * 2 + decode_bit(state, data, bits, node)
-            now[i] = node & 255
-        if state[3] != 0:
-            return False
-    return True
-
-
-def _encode_bytes(now: bytes, before: bytearray) -> bytes:
-    """Encode bytes against the ones before, which become these."""
-    out = np.empty(16 * len(now) + 64, np.uint8)
-    known = np.frombuffer(bytes(before), np.uint8).copy()
-    written = _encode(np.frombuffer(now, np.uint8).copy(), known, new_bits(258), out)
-    before[:] = now
-    return out[:written].tobytes()
-
-
-def _decode_bytes(code: bytes, length: int, before: bytearray) -> bytes:
-    """Inverse of :func:`_encode_bytes`."""
-    now = np.empty(length, np.uint8)
-    known = np.frombuffer(bytes(before), np.uint8).copy()
-    if not _decode(now, known, new_bits(258), np.frombuffer(bytearray(code), np.uint8)):
-        raise ArchiveError("payload does not decode")
-    before[:] = now.tobytes()
-    return now.tobytes()

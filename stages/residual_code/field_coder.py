@@ -78,7 +78,7 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
     if len(values) == 0 or (bits == bits[0]).all():
         return bytes([CONSTANT]) + values[:1].tobytes().ljust(values.dtype.itemsize, b"\0")
     width = 8 * values.dtype.itemsize
-    best: tuple[int, tuple[int, ...], Integers] | None = None
+    best: tuple[int, tuple[int, int, int, int, int, int], Integers] | None = None
     for form, scale, based, integers in _forms(values, points, base):
         bits_of = 64 if form == DECIMAL else width
         wrapped = _wrap(integers, bits_of)

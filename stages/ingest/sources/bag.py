@@ -6,6 +6,7 @@ import hashlib
 import re
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -93,16 +94,16 @@ def _opened(path: str, digest: str) -> Log:
 def mcap_files(path: Path) -> list[Path]:
     """The files of a ROS 2 bag in plain MCAP; none for any other bag."""
     about = _metadata(path)
-    if about.get("storage_identifier") != "mcap" or about.get("compression_mode", "").lower() not in (
+    if about.get("storage_identifier") != "mcap" or str(about.get("compression_mode", "")).lower() not in (
         "",
         "none",
     ):
         return []
     # A name leads into the bag's folder and nowhere else.
-    return [path / Path(name).name for name in about.get("relative_file_paths", [])]
+    return [path / Path(str(name)).name for name in about.get("relative_file_paths", [])]
 
 
-def _metadata(path: Path) -> dict[str, object]:
+def _metadata(path: Path) -> dict[str, Any]:
     try:
         document = yaml.safe_load((path / "metadata.yaml").read_text())
         return dict(document["rosbag2_bagfile_information"])
