@@ -68,6 +68,14 @@ def predict_ground(
     return image.reshape(region.shape)
 
 
+def ground_of(sweep: GridSweep) -> NDArray[np.bool_]:
+    """Return which cells ``(64, 2000)`` hold ground."""
+    ground = np.zeros(sweep.level.shape, np.bool_)
+    if sweep.classes is not None:
+        ground[np.nonzero(sweep.level)] = GROUP_OF_CLASS[sweep.classes] == GROUND
+    return ground
+
+
 def fit_ground(sweep: GridSweep) -> NDArray[np.int32]:
     """Return the best plane of each region with enough ground, rows of region, height and slopes in units.
 

@@ -12,28 +12,31 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import COLUMNS, ROWS
 from salpcc.stages.residual_code.grid_context import ContextImages
-from salpcc.stages.residual_code.grid_residuals import from_bytes, from_residuals, residuals, to_bytes
+from salpcc.stages.residual_code.grid_residuals import (
+    from_residuals,
+    from_symbols,
+    residuals,
+    to_symbols,
+)
 from salpcc.stages.residual_code.image_coder import ImageCoder, Images
 from salpcc.stages.residual_code.lossless import CODERS, Lossless
 
 _CELLS = ROWS * COLUMNS
+_LENGTH = 3  # bytes of the length of coded symbols
 
 
 def plain_streams(
     level: NDArray[np.int32], ground: NDArray[np.bool_], images: Images
-) -> tuple[bytes, bytes, bytes]:
-    """Return mask, ground map and residuals of a frame as bytes: what the nine coders are given."""
+) -> tuple[bytes, bytes, bytes, bytes]:
+    """Return mask, ground map and symbols of a frame, what the nine coders are given, and the bits stored as they are."""
     filled = level > 0
-    return (
-        np.packbits(filled).tobytes(),
-        np.packbits(ground[filled]).tobytes(),
-        to_bytes(residuals(level, ground, images.plane, images.frame)),
-    )
+    symbols, rest = to_symbols(residuals(level, ground, images.plane, images.trusted_frame))
+    return np.packbits(filled).tobytes(), np.packbits(ground[filled]).tobytes(), symbols, rest
 
 
 @dataclass(frozen=True)
 class ByteImages:
-    """One of the nine coders: mask and ground map as packed bits, residuals as planes of bytes."""
+    """One of the nine coders: mask and ground map as packed bits, residuals as symbols and plain bits."""
 
     coder: Lossless
 
@@ -41,8 +44,10 @@ class ByteImages:
         self, level: NDArray[np.int32], ground: NDArray[np.bool_], images: Images
     ) -> tuple[bytes, bytes, bytes]:
         """Encode a frame; see :class:`ImageCoder`."""
-        mask, on_ground, values = plain_streams(level, ground, images)
-        return self.coder.encode(mask), self.coder.encode(on_ground), self.coder.encode(values)
+        mask, on_ground, symbols, rest = plain_streams(level, ground, images)
+        coded = self.coder.encode(symbols)
+        levels = len(coded).to_bytes(_LENGTH, "little") + coded + rest
+        return self.coder.encode(mask), self.coder.encode(on_ground), levels
 
     def decode(
         self, mask: bytes, ground: bytes, levels: bytes, returns: int, images: Images
@@ -53,8 +58,12 @@ class ByteImages:
             raise ArchiveError("payload does not decode")
         on_ground = np.zeros(filled.shape, np.bool_)
         on_ground[filled] = _bits(self.coder.decode(ground, -(-returns // 8)), returns)
-        values = from_bytes(self.coder.decode(levels, 4 * returns), returns)
-        level, sound = from_residuals(values, filled, on_ground, images.plane, images.frame)
+        end = _LENGTH + int.from_bytes(levels[:_LENGTH], "little")
+        symbols = self.coder.decode(levels[_LENGTH:end], returns)
+        values, sound = from_symbols(symbols, levels[end:])
+        if not sound:
+            raise ArchiveError("payload does not decode")
+        level, sound = from_residuals(values, filled, on_ground, images.plane, images.trusted_frame)
         if not sound:
             raise ArchiveError("payload does not decode")
         return level

@@ -1,8 +1,8 @@
 """Residuals of a range image: eq. (11) for ground, eq. (19) for the rest, and back.
 
-A cell's prediction is the first there is of: the plane of its region, if it is ground; the frame predicted from
-those before; its neighbours in the frame (left, above, and their gradient, as in LOCO-I), which serve the first
-frame of a GOP and the holes of the predicted one.
+A cell's prediction is the first there is of: the plane of its region, moved by what it missed at the ground cell
+before in the row, if it is ground; the frame predicted from those before; its neighbours in the frame (left, above,
+and their gradient, as in LOCO-I), which serve the first frame of a GOP and the holes of the predicted one.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
 
+_MOST_BITS = 27  # of a residual
 _START = 10000  # a level where nothing at all is known
 
 
@@ -48,11 +49,13 @@ def _walk(
     place = 0
     for row in range(ROWS):
         last = -1
+        off = 0  # of the plane at the last ground cell: what a plane misses, it misses next door as well
         for column in range(COLUMNS):
             if not filled[row, column]:
                 continue
-            if ground[row, column] and plane[row, column] > 0:
-                predicted = np.int64(plane[row, column])
+            on_plane = ground[row, column] and plane[row, column] > 0
+            if on_plane:
+                predicted = np.int64(plane[row, column]) + off
             elif frame[row, column] > 0:
                 predicted = np.int64(frame[row, column])
             else:
@@ -64,6 +67,8 @@ def _walk(
                 level[row, column] = value
             else:
                 residual[place] = level[row, column] - predicted
+            if on_plane:
+                off = np.int64(level[row, column]) - np.int64(plane[row, column])
             place += 1
             last = column
     return True
@@ -98,14 +103,63 @@ def from_residuals(
     return level, bool(sound)
 
 
-def to_bytes(residual: NDArray[np.int32]) -> bytes:
-    """Lay residuals out for a coder of bytes: zig-zag (0, -1, 1, -2, ...), then all high bytes, middle, low."""
-    zigzag = (residual << 1) ^ (residual >> 31)
-    return b"".join(((zigzag >> shift) & 255).astype(np.uint8).tobytes() for shift in (24, 16, 8, 0))
+def trusted_spreads(
+    level: NDArray[np.int32],
+    ground: NDArray[np.bool_],
+    frame: NDArray[np.int32],
+    spread: NDArray[np.uint8],
+) -> int:
+    """Return for which spreads, bit by bit, the predicted frame is nearer than the neighbours, off the ground."""
+    nothing = np.zeros_like(frame)
+    here = ((frame > 0) & ~ground)[level > 0]
+    gain = np.zeros(16)
+    for sign, prediction in ((1, nothing), (-1, frame)):
+        off = np.abs(residuals(level, ground, nothing, prediction)[here].astype(np.float64))
+        gain += sign * np.bincount(spread[level > 0][here], np.log2(1.0 + off), 16)
+    return int(sum(1 << k for k in range(16) if gain[k] >= 0))
 
 
-def from_bytes(data: bytes, n: int) -> NDArray[np.int32]:
-    """Inverse of :func:`to_bytes` for ``n`` residuals."""
-    planes = np.frombuffer(data, np.uint8).reshape(4, n).astype(np.uint32)
-    zigzag = planes[0] << 24 | planes[1] << 16 | planes[2] << 8 | planes[3]
-    return ((zigzag >> 1).astype(np.int32)) ^ -(zigzag & 1).astype(np.int32)
+def to_symbols(residual: NDArray[np.int32]) -> tuple[bytes, bytes]:
+    """Lay residuals out for a coder of bytes: a symbol each, and the bits below it, which are as good as random.
+
+    A residual of k bits has the symbol ``1 + 4 (k - 1) + 2 (its second bit) + (is it negative)``, 0 has 0; its last
+    ``k - 2`` bits are packed, least significant first. *Why:* symbols follow how rough the scene is, and a coder of
+    bytes sees that only where noise does not hide it; PPMd needs 4 to 8 % fewer bits than with planes of bytes.
+    """
+    magnitude = np.abs(residual.astype(np.int64))
+    size = _bits_of(magnitude)
+    second = np.where(size >= 2, (magnitude >> np.maximum(size - 2, 0)) & 1, 0)
+    symbol = np.where(size > 0, 1 + 4 * (size - 1) + 2 * second + (residual < 0), 0)
+    place, count = _places(size)
+    bits = np.zeros(count, np.uint8)
+    for bit in range(int(size.max(initial=0)) - 2):
+        has = size - 2 > bit
+        bits[place[has] + bit] = (magnitude[has] >> bit) & 1
+    return symbol.astype(np.uint8).tobytes(), np.packbits(bits).tobytes()
+
+
+def from_symbols(symbols: bytes, rest: bytes) -> tuple[NDArray[np.int32], bool]:
+    """Return the residuals and whether there can be such; inverse of :func:`to_symbols`."""
+    symbol = np.frombuffer(symbols, np.uint8).astype(np.int64)
+    code = np.maximum(symbol - 1, 0)
+    size = np.where(symbol > 0, code // 4 + 1, 0)
+    place, count = _places(size)
+    if len(rest) != -(-count // 8) or size.max(initial=0) > _MOST_BITS:
+        return np.zeros(0, np.int32), False
+    bits = np.unpackbits(np.frombuffer(rest, np.uint8), count=count)
+    magnitude = np.where(size > 1, (2 | code // 2 % 2) << np.maximum(size - 2, 0), size)
+    for bit in range(int(size.max(initial=0)) - 2):
+        has = size - 2 > bit
+        magnitude[has] |= bits[place[has] + bit].astype(np.int64) << bit
+    return np.where(code % 2 == 1, -magnitude, magnitude).astype(np.int32), True
+
+
+def _bits_of(magnitude: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of bits of each magnitude."""
+    return np.searchsorted(1 << np.arange(_MOST_BITS, dtype=np.int64), magnitude, side="right")
+
+
+def _places(size: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+    """Where the packed bits of each residual start, and how many there are."""
+    ends = np.cumsum(np.maximum(size - 2, 0))
+    return ends - np.maximum(size - 2, 0), int(ends[-1]) if len(ends) else 0
