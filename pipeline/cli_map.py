@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from salpcc.schemas.errors import UsageError
+from salpcc.stages.mapping.cleaners import CLEANERS as RIVALS
 
 Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE…", help="Archives of one drive, in order")]
 Workers = Annotated[int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")]
@@ -63,6 +64,9 @@ def map_(
     against: Annotated[
         Path | None, typer.Option(help="Data root with labels; scores the map by them")
     ] = None,
+    rivals: Annotated[
+        str, typer.Option(help=f"Public cleaners to score beside: {', '.join(RIVALS)}")
+    ] = "none",
     workers: Workers = None,
     scheduler: Scheduler = None,
     keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,
@@ -70,8 +74,9 @@ def map_(
     json_: Json = False,
 ) -> None:
     """Build a clean map from decoded scans."""
-    from salpcc.pipeline.map import MapRequest, make_map
+    from salpcc.pipeline.map import make_map
     from salpcc.pipeline.map_export import FORMATS
+    from salpcc.pipeline.map_request import MapRequest
     from salpcc.stages.mapping.config import MapConfig
 
     wanted = [form.strip() for form in formats.split(",") if form.strip()]
@@ -90,6 +95,8 @@ def map_(
     except ValidationError as error:
         first = error.errors()[0]
         raise UsageError(f"--{str(first['loc'][0]).replace('_', '-')}: {first['msg']}") from error
+    if rivals != "none" and against is None:
+        raise UsageError("--rivals needs --against, the root with the source scans and their labels")
     request = MapRequest(
         archives=archives,
         out=out,
@@ -97,6 +104,7 @@ def map_(
         poses=poses or [],
         formats=wanted,
         against=against,
+        rivals=[] if rivals == "none" else [name.strip() for name in rivals.split(",")],
         workers=workers,
         scheduler=scheduler,
         keep_shards=keep_shards,
@@ -133,12 +141,15 @@ def localise(
     json_: Json = False,
 ) -> None:
     """Register consecutive decoded scans by ICP and measure the error, with movable things and without."""
-    from salpcc.pipeline.localise import LocaliseRequest, summary
+    from salpcc.pipeline.localise import LocaliseRequest
     from salpcc.pipeline.localise import localise as run
     from salpcc.stages.evaluate.baselines import names as baseline_names
+    from salpcc.stages.evaluate.downstream import registration_figures
 
     chosen = tuple(baseline_names(rivals))
-    rows = summary(run(LocaliseRequest(archives, against, out, chosen, every, thin, workers, scheduler)))
+    rows = registration_figures(
+        run(LocaliseRequest(archives, against, out, chosen, every, thin, workers, scheduler))
+    )
     if json_:
         typer.echo(json.dumps(rows, indent=1))
         return
@@ -157,7 +168,7 @@ def localise(
         table.add_column(column)
     for row in rows:
         spread = [
-            f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_spread']:.4f}" for k in ("rotation_deg", "translation_m")
+            f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_std']:.4f}" for k in ("rotation_deg", "translation_m")
         ]
         error = "-" if row["max_error"] is None else f"{1e3 * row['max_error']:.1f} mm"
         bits = "-" if row["bpp"] is None else f"{row['bpp']:.2f}"

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -87,28 +86,6 @@ def localise(request: LocaliseRequest) -> pa.Table:
     table = pa.concat_tables([tables[at].cast(REGISTRATION) for at in range(len(work))])
     record.record(request.out, registration=table)
     return table
-
-
-def summary(table: pa.Table) -> list[dict[str, Any]]:
-    """Return mean and spread (standard deviation) of the errors by sequence, cloud and method."""
-    keys = ("sequence", "cloud", "max_error", "movable", "method")
-    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
-    for row in table.to_pylist():
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
-    out = []
-    for key, rows in groups.items():
-        figures = {name: np.array([row[name] for row in rows]) for name in ("rotation_deg", "translation_m")}
-        bits = [row["bpp"] for row in rows if row["bpp"] is not None]
-        out.append(
-            {
-                **dict(zip(keys, key, strict=True)),
-                "pairs": len(rows),
-                "bpp": float(np.mean(bits)) if bits else None,
-                **{f"{name}_mean": float(v.mean()) for name, v in figures.items()},
-                **{f"{name}_spread": float(v.std()) for name, v in figures.items()},
-            }
-        )
-    return out
 
 
 def _stretches(readers: Sequence[ArchiveReader], request: LocaliseRequest) -> list[Stretch]:

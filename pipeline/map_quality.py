@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from salpcc.pipeline.map_plan import F64, Group, MapPlan
 from salpcc.pipeline.map_store import batches_to_truth, read_blocks, truth_to_batch
-from salpcc.pipeline.map_tasks import TileResult, read_tile
+from salpcc.pipeline.map_tiles import TileResult, read_tile
 from salpcc.pipeline.plan import missing_root
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.errors import SourceError, UsageError
@@ -19,6 +21,7 @@ from salpcc.schemas.work import ScanRef, ShardRef, digest_of
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.velodyne_bin import read_points
 from salpcc.stages.mapping.build import CARVED, DROPPED
+from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.poses import move
 from salpcc.stages.mapping.score import Tally, Truth, quality, tally, truth_of_labels
@@ -113,6 +116,45 @@ def tally_tile(
     return {name: tally(counted, keys[against & bits == 0], config.voxel) for name, bits in CLEANERS.items()}
 
 
+def rival_tally(
+    name: str,
+    refs: Sequence[ScanRef],
+    poses: tuple[float, ...],
+    truths: Sequence[TruthRef],
+    config: MapConfig,
+    out: Path,
+) -> tuple[Tally, int, float]:
+    """Clean the source scans by a public cleaner and count what is left, with its voxels and CPU seconds.
+
+    It sees the same points at the same poses, all of them at once, and no labels.
+    """
+    places = np.array(poses).reshape(-1, 4, 4)
+    scans = []
+    for ref, pose in zip(refs, places, strict=True):
+        points, _ = read_points(Path(ref.path))
+        scans.append((points[_in_range(points, config)], pose))
+    started = time.process_time()
+    masks = cleaner(name)(scans)
+    seconds = time.process_time() - started
+    kept = [
+        np.unique(keys_of(move(points[mask], pose), config.voxel))
+        for (points, pose), mask in zip(scans, masks, strict=True)
+    ]
+    keys = np.unique(np.concatenate(kept))
+    store = ShardStore(out)
+    batches = [b for t in truths for b in read_blocks(store, t.ref, range(len(t.tiles)))]
+    return tally(batches_to_truth(batches), keys, config.voxel), len(keys), seconds
+
+
+def rival_rows(plan: MapPlan, found: dict[str, tuple[Tally, int, float]]) -> list[dict[str, object]]:
+    """Return the rows of public cleaners for the map table."""
+    return [
+        _row(plan, name, "source", truth, figures, points, seconds)
+        for name, (counts, points, seconds) in found.items()
+        for truth, figures in quality(counts).items()
+    ]
+
+
 def quality_rows(
     tallies: dict[str, Tally], plan: MapPlan, tiles: Sequence[TileResult], seconds: float
 ) -> list[dict[str, object]]:
@@ -121,34 +163,46 @@ def quality_rows(
         "none": sum(t.kept + t.carved_or_dropped - t.filled for t in tiles),
         "ours": sum(t.kept - t.filled for t in tiles),
     }
-    rows: list[dict[str, object]] = []
-    for name, counts in tallies.items():
-        for truth, figures in quality(counts).items():
-            rows.append(
-                {
-                    "sequence": plan.sequence,
-                    "scans": plan.n_scans,
-                    "cleaner": name,
-                    "cloud": "decoded",
-                    "truth": truth,
-                    **{key.lower(): value for key, value in figures.items()},
-                    "points": sizes.get(name),
-                    "seconds": seconds if name == "ours" else None,
-                }
-            )
-    return rows
+    return [
+        _row(plan, name, "decoded", truth, figures, sizes.get(name), seconds if name == "ours" else None)
+        for name, counts in tallies.items()
+        for truth, figures in quality(counts).items()
+    ]
 
 
-def _truth_of(scan: ScanRef, pose: F64, config: MapConfig) -> tuple[F64, np.ndarray]:
+def _row(
+    plan: MapPlan,
+    cleaner: str,
+    cloud: str,
+    truth: str,
+    figures: dict[str, float | None],
+    points: int | None,
+    seconds: float | None,
+) -> dict[str, object]:
+    head = {
+        "sequence": plan.sequence,
+        "scans": plan.n_scans,
+        "cleaner": cleaner,
+        "cloud": cloud,
+        "truth": truth,
+    }
+    return {**head, **{k.lower(): v for k, v in figures.items()}, "points": points, "seconds": seconds}
+
+
+def _truth_of(scan: ScanRef, pose: F64, config: MapConfig) -> tuple[F64, NDArray[np.uint8]]:
     points, _ = read_points(Path(scan.path))
     assert scan.labels is not None
     labels = np.fromfile(scan.labels, "<u4")
     if len(labels) != len(points):
         raise SourceError(f"{scan.labels}: {len(labels)} labels for {len(points)} points")
-    square = np.square(points.astype(np.float64)).sum(axis=1)
-    near = (square >= config.min_range**2) & (square <= config.max_range**2)
+    near = _in_range(points, config)
     return move(points[near], pose), truth_of_labels(labels[near])
 
 
-def _joined(parts: Sequence[tuple[F64, np.ndarray]]) -> tuple[F64, np.ndarray]:
+def _joined(parts: Sequence[tuple[F64, NDArray[np.uint8]]]) -> tuple[F64, NDArray[np.uint8]]:
     return np.concatenate([p for p, _ in parts]), np.concatenate([t for _, t in parts])
+
+
+def _in_range(points: NDArray[np.float32], config: MapConfig) -> NDArray[np.bool_]:
+    square = np.square(points.astype(np.float64)).sum(axis=1)
+    return np.asarray((square >= config.min_range**2) & (square <= config.max_range**2))

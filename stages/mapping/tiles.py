@@ -71,9 +71,10 @@ class Box:
 
 def blocks_of(xyz: F64, size: float) -> list[tuple[Tile, NDArray[np.intp]]]:
     """Part points ``(N, 3)`` by the tiles of their own frame: each with the indices of its points, ascending."""
+    if not len(xyz):
+        return []
     at = np.floor(xyz[:, :2] / size).astype(np.int64)
     number = at[:, 0] * (1 << 32) + at[:, 1]
     order = np.argsort(number, kind="stable")
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(number[order]) != 0])) if len(xyz) else []
-    parts = np.split(order, starts[1:]) if len(xyz) else []
+    parts = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
     return [(Tile(int(at[part[0], 0]), int(at[part[0], 1])), part) for part in parts]

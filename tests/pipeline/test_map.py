@@ -14,15 +14,17 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from salpcc.pipeline import map as map_module
-from salpcc.pipeline import map_tasks
+from salpcc.pipeline import map_submaps, map_tiles
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.encode import encode_scans
 from salpcc.pipeline.graph import GraphOptions
-from salpcc.pipeline.localise import LocaliseRequest, localise, summary
-from salpcc.pipeline.map import MapRequest, make_map
+from salpcc.pipeline.localise import LocaliseRequest, localise
+from salpcc.pipeline.map import make_map
+from salpcc.pipeline.map_request import MapRequest
 from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError, UsageError
+from salpcc.stages.evaluate.downstream import registration_figures
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.sources import SOURCES
@@ -83,7 +85,9 @@ def test_map_is_clean_and_whole(made: Path) -> None:
     ours, none = figures["ours", "moving"], figures["none", "moving"]
     assert ours["sa"] > 0.99 and ours["da"] > 0.98 and ours["f1"] > 0.98
     assert none["sa"] == 1.0 and none["da"] == 0.0
-    assert figures["ours, carving only", "moving"]["da"] > 0.5  # ten scans see through what moved, without a label
+    assert (
+        figures["ours, carving only", "moving"]["da"] > 0.5
+    )  # ten scans see through what moved, without a label
     assert figures["ours, classes only", "movable"]["da"] > 0.95
 
 
@@ -133,12 +137,12 @@ def test_interrupted_map_goes_on_and_a_made_one_is_left(
 ) -> None:
     asked = request_(tmp_path)
     with monkeypatch.context() as broken:
-        broken.setattr(map_module, "_write", lambda *_: (_ for _ in ()).throw(OSError("disk")))
+        broken.setattr(map_module, "write_whole", lambda *_: (_ for _ in ()).throw(OSError("disk")))
         with pytest.raises(OSError, match="disk"):
             make_map(asked)
     with monkeypatch.context() as no_work:
-        no_work.setattr(map_tasks, "decode_scans", None)
-        no_work.setattr(map_tasks, "build", None)
+        no_work.setattr(map_submaps, "decode_scans", None)
+        no_work.setattr(map_tiles, "build", None)
         first = make_map(asked)
         assert make_map(asked) == first
     (tmp_path / "tiles" / f"{first['tiles'][0]}.ply").unlink()
@@ -213,7 +217,7 @@ def test_localisation_in_bit_exact_scans_is_that_in_the_originals(
     archive: Path, root: Path, tmp_path: Path
 ) -> None:
     request = LocaliseRequest([archive], root, tmp_path, every=4, thin=8, workers=0, quiet=True)
-    rows = summary(localise(request))
+    rows = registration_figures(localise(request))
     by = {(row["cloud"], row["movable"], row["method"]): row for row in rows}
     assert len(by) == 8 and all(row["pairs"] == 3 for row in rows)
     for movable in (True, False):

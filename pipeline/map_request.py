@@ -1,0 +1,31 @@
+"""What a user asks for when asking for a map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from salpcc.pipeline.map_export import FORMATS
+from salpcc.stages.mapping.config import MapConfig
+
+
+@dataclass(frozen=True)
+class MapRequest:
+    """What a user asks for: the map, and where and how it is made.
+
+    ``poses`` as in :func:`salpcc.pipeline.map_plan.plan_map`; ``against`` is a data root with labels to
+    score by, ``rivals`` are public cleaners to score beside.
+    """
+
+    archives: list[Path]
+    out: Path
+    config: MapConfig = field(default_factory=MapConfig)
+    poses: list[str] = field(default_factory=list)
+    formats: list[str] = field(default_factory=lambda: list(FORMATS))
+    against: Path | None = None
+    rivals: list[str] = field(default_factory=list)
+    workers: int | None = None
+    scheduler: str | None = None
+    keep_shards: bool = False
+    quiet: bool = False
+    command: str = ""

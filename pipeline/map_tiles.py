@@ -1,0 +1,150 @@
+"""Tiles on a worker: take what a tile needs of the submaps, build it, write it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from salpcc.pipeline.map_export import WRITERS
+from salpcc.pipeline.map_store import (
+    TILE,
+    batch_to_entries,
+    entries_to_batch,
+    peak_mb,
+    read_blocks,
+    table_to_views,
+)
+from salpcc.pipeline.map_submaps import Submap
+from salpcc.pipeline.store import ShardStore
+from salpcc.schemas.work import ShardRef, digest_of
+from salpcc.stages.mapping.build import CARVED, DROPPED, build
+from salpcc.stages.mapping.carve import REACH
+from salpcc.stages.mapping.config import MapConfig
+from salpcc.stages.mapping.poses import move
+from salpcc.stages.mapping.tiles import Tile
+from salpcc.stages.mapping.view import View
+from salpcc.stages.mapping.voxel import Voxels
+
+F64 = NDArray[np.float64]
+
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a tile takes of one submap: blocks of its entries, and its views where they are near."""
+
+    entries: ShardRef
+    blocks: tuple[int, ...]
+    views: ShardRef | None
+    pose: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class TileResult:
+    """A tile that was built: its shard and its figures. ``ref`` is None where it came out empty."""
+
+    tile: Tile
+    ref: ShardRef | None
+    kept: int
+    carved: int
+    dropped: int
+    carved_or_dropped: int
+    filled: int
+    points: int
+    cpu_ms: float
+    peak_mb: float
+
+
+def parts_of(tile: Tile, submaps: Sequence[Submap], poses: Sequence[F64], size: float) -> list[Part]:
+    """Choose what a tile needs: blocks that touch it, views within reach of it."""
+    parts: list[Part] = []
+    for submap, pose in zip(submaps, poses, strict=True):
+        blocks = tuple(i for i, box in enumerate(submap.boxes) if tile in box.moved(pose).tiles(size))
+        places = move(np.array(submap.viewed).reshape(-1, 3), pose)
+        near = any(tile.distance(place, size) < REACH for place in places)
+        if blocks or near:
+            parts.append(
+                Part(submap.entries, blocks, submap.views if near else None, tuple(pose.ravel().tolist()))
+            )
+    return parts
+
+
+def build_tile(
+    tile: Tile, parts: Sequence[Part], sequence: str, config: MapConfig, formats: Sequence[str], out: Path
+) -> TileResult:
+    """Build a tile and write it in every format, unless all of it is there."""
+    store = ShardStore(out)
+    digest = digest_of(
+        VERSION, [asdict(part) for part in parts], asdict(tile), config.model_dump(mode="json")
+    )
+    ref = ShardRef(f"{sequence}/tile/{tile.name}-{digest[:16]}.arrow", digest)
+    if not store.has(ref):
+        started = time.process_time()
+        corner = tile.corner(config.tile)
+        voxels, against = build(*_read_parts(store, parts, tile, config), config)
+        facts = {
+            "corner": corner.tolist(),
+            "kept": int(np.count_nonzero(against == 0)),
+            "carved": int(np.count_nonzero(against & CARVED)),
+            "dropped": int(np.count_nonzero(against & DROPPED)),
+            "carved_or_dropped": int(np.count_nonzero(against)),
+            "filled": int(np.count_nonzero(voxels.count == 0)),
+            "points": int(voxels.count[against == 0].sum()),
+            "cpu_ms": 1e3 * (time.process_time() - started),
+            "peak_mb": peak_mb(),
+        }
+        table = pa.Table.from_batches([entries_to_batch(voxels, corner, against)], schema=TILE)
+        store.write(ref, table, {"stage": "tile", "stage_version": VERSION, **facts})
+    facts = store.facts(ref)
+    figures = {f.name: facts[f.name] for f in fields(TileResult)[2:]}
+    if facts["kept"] + facts["carved_or_dropped"] == 0:
+        return TileResult(tile, None, **figures)
+    paths = [(form, out / "tiles" / f"{tile.name}.{form}") for form in formats if form in WRITERS]
+    stamp = out / "tiles" / f".{tile.name}"
+    fresh = stamp.is_file() and stamp.read_text() == digest
+    missing = [(form, path) for form, path in paths if not (fresh and path.is_file())]
+    if missing and facts["kept"]:
+        started = time.process_time()
+        voxels, against = read_tile(store, ref)
+        for form, path in missing:
+            WRITERS[form](voxels[against == 0], tile.corner(config.tile), path)
+        stamp.write_text(digest)
+        figures["cpu_ms"] += 1e3 * (time.process_time() - started)
+    return TileResult(tile, ref, **figures)
+
+
+def read_tile(store: ShardStore, ref: ShardRef) -> tuple[Voxels, NDArray[np.uint8]]:
+    """Read a built tile: all entries, and what speaks against each."""
+    table, facts = store.read(ref)
+    return batch_to_entries(table, facts["corner"]), np.array(table.column("against"))
+
+
+def _read_parts(
+    store: ShardStore, parts: Sequence[Part], tile: Tile, config: MapConfig
+) -> tuple[Voxels, list[View]]:
+    entries, views = [], []
+    for part in parts:
+        pose = np.array(part.pose).reshape(4, 4)
+        if part.blocks:
+            corner = store.facts(part.entries)["corner"]
+            for batch in read_blocks(store, part.entries, part.blocks):
+                voxels = batch_to_entries(batch, corner)
+                moved = Voxels(
+                    voxels.xyz if np.array_equal(pose, np.eye(4)) else move(voxels.xyz, pose),
+                    voxels.intensity,
+                    voxels.classes,
+                    voxels.count,
+                    voxels.scans,
+                )
+                entries.append(moved[tile.holds(moved.xyz, config.tile)])
+        if part.views is not None and config.carve:
+            near = table_to_views(store.read(part.views)[0], pose)
+            views += [v for v in near if tile.distance(v.pose[:3, 3], config.tile) < REACH]
+    return Voxels.together(entries), views
