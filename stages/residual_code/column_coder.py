@@ -24,19 +24,18 @@ from salpcc.stages.residual_code.range_coder import (
     start_encoder,
 )
 
-LEFT, ABOVE, SLOPE, LINE, MEAN = range(5)
-PREDICTORS = 5
+LEFT, ABOVE, SLOPE, LINE, MEAN, EDGE = range(6)
+PREDICTORS = 6
 _SIZES = 65  # magnitudes of 0 to 64 bits
 _NODES = 2 + 4 * _SIZES  # zero, sign, and per size: go on, two leading bits
-_NEAR, _FAR = 21, 12  # sizes told apart in the two families of contexts
-_RAW = 24  # even bits coded at once
+_SLOPES, _SIZES_TOLD = 21, 12  # sizes told apart in the two families of contexts
 
 Values = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
 def _residual_models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    return new_bits(_NEAR * 2 * _NODES), new_bits(_FAR * _FAR * 2 * _NODES)
+    return new_bits(_SLOPES * 2 * _NODES), new_bits(_SIZES_TOLD**2 * 2 * _NODES)
 
 
 def _symbol_models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
@@ -85,6 +84,10 @@ def _predict(predictor: int, left: int, second: int, above: int, corner: int) ->
         return left + left - second
     if predictor == 4:
         return left + ((above - left) >> 1)
+    if predictor == 5:
+        # The plane through the neighbours, but never beyond them (LOCO-I).
+        low, high = min(left, above), max(left, above)
+        return min(max(left + above - corner, low), high)
     return left
 
 
@@ -107,12 +110,12 @@ def costs(values: Values, void: Flags, period: int, width: int) -> NDArray[np.in
 
 @njit(cache=True)
 def _contexts(
-    sizes: NDArray[np.int64], void: Flags, i: int, period: int, last: NDArray[np.int64]
+    sizes: NDArray[np.int64], void: Flags, i: int, period: int, last: NDArray[np.int64], slope: int
 ) -> tuple[int, int]:
     kind = 1 if void[i] else 0
     near = sizes[last[kind, 0]] if last[kind, 0] >= 0 else 0
     far = sizes[i - period] if i >= period else near
-    first = min(near, 20) * 2 + kind
+    first = min(slope, 20) * 2 + kind
     second = (min(near, 11) * 12 + min(far, 11)) * 2 + kind
     return first * 262, second * 262
 
@@ -134,7 +137,7 @@ def _encode_residuals(
     for i in range(len(values)):
         left, second, above, corner = _neighbours(values, void, i, period, last)
         residual = _wrap(values[i] - _predict(predictor, left, second, above, corner), width)
-        f, g = _contexts(sizes, void, i, period, last)
+        f, g = _contexts(sizes, void, i, period, last, _size(abs(left - above) + abs(above - corner)))
         magnitude = abs(residual)
         size = _size(magnitude)
         encode_mixed_bit(state, out, a, f, b, g, 1 if size > 0 else 0)
@@ -179,7 +182,7 @@ def _decode_residuals(
     last = np.full((2, 2), -1, np.int64)
     for i in range(len(void)):
         left, second, above, corner = _neighbours(values, void, i, period, last)
-        f, g = _contexts(sizes, void, i, period, last)
+        f, g = _contexts(sizes, void, i, period, last, _size(abs(left - above) + abs(above - corner)))
         size = 0
         magnitude = np.int64(0)
         negative = False
