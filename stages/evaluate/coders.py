@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,73 +23,32 @@ from salpcc.stages.evaluate.grid_frames import Frame, paper_frames, read_gops
 from salpcc.stages.evaluate.metrics import compression_rate
 from salpcc.stages.evaluate.record import record
 from salpcc.stages.evaluate.schema import CODERS as CODERS_SCHEMA
-from salpcc.stages.residual_code.grid_context import ContextImages
-from salpcc.stages.residual_code.grid_images import plain_streams
+from salpcc.stages.residual_code.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.lossless import CODERS, Lossless
 
-_WARM_UP = bytes(range(256)) * 4
-
-
-@dataclass
-class Sum:
-    """What a coder took and gave so far, and its CPU time."""
-
-    bytes_in: int = 0
-    bytes_out: int = 0
-    encode_ms: float = 0.0
-    decode_ms: float = 0.0
-
-    def add(self, coder: Lossless, plain: bytes) -> None:
-        """Code and decode a piece.
-
-        Raises:
-            ArchiveError: it does not come back.
-        """
-        start = time.process_time()
-        coded = coder.encode(plain)
-        middle = time.process_time()
-        back = coder.decode(coded, len(plain))
-        end = time.process_time()
-        if back != plain:
-            raise ArchiveError(f"{coder.title}: {len(plain)} bytes do not come back")
-        self.bytes_in += len(plain)
-        self.bytes_out += len(coded)
-        self.encode_ms += 1e3 * (middle - start)
-        self.decode_ms += 1e3 * (end - middle)
+_CONTEXT = ("Context", "paper grid, contexts of our own")
+Trial = tuple[int, bool, float, float]  # of one piece: bytes coded, whether it came back, CPU seconds of both
 
 
 def coder_rows(root: Path, sequence: str, accuracy: float, scans: int) -> Iterator[dict[str, Any]]:
-    """Yield CODERS rows of the first consecutive ``scans`` of a sequence; one that does not give back says so."""
+    """Yield CODERS rows of the first consecutive ``scans`` of a sequence; a coder that does not give back says so."""
     group = next(read_gops(root, sequence, scans))
     frames = paper_frames(group, accuracy)
-    points = sum(len(scan) for _, scan in group)
-    residual = [plain for f in frames for plain in plain_streams(f.sweep.level, f.ground, f.images)]
-    raw = [_raw(scan) for _, scan in group]
-    for kind, pieces, error in (("residual", residual, accuracy), ("raw", raw, None)):
-        for coder in CODERS.values():
-            coder.decode(coder.encode(_WARM_UP), len(_WARM_UP))
-            total, status = Sum(), "ok"
-            try:
-                for plain in pieces:
-                    total.add(coder, plain)
-            except ArchiveError as reason:
-                status = f"failed: {reason}"
-            yield _row(sequence, coder.title, coder.settings, kind, error, points, total, status)
-    yield _row(
-        sequence,
-        "Context",
-        "paper grid, our contexts",
-        "residual",
-        accuracy,
-        points,
-        _context(frames, sum(map(len, residual))),
-    )
+    common = {"sequence": sequence, "points": sum(len(scan) for _, scan in group)}
+    for name in IMAGE_CODERS:
+        coder = CODERS.get(name)
+        title, settings = (coder.title, coder.settings) if coder else _CONTEXT
+        row = common | {"coder": title, "settings": settings, "input": "residual", "max_error": accuracy}
+        _sum(_on_residuals(name, frames[:1]))  # numba compiles
+        yield row | _sum(_on_residuals(name, frames))
+    for coder in CODERS.values():
+        row = common | {"coder": coder.title, "settings": coder.settings, "input": "raw"}
+        yield row | _sum(_on_scans(coder, [scan for _, scan in group]))
 
 
-def _context(frames: Sequence[Frame], bytes_in: int) -> Sum:
-    """Code the frames of a GOP with our context coder; warmed up, and decoded to what they were."""
-    ContextImages().encode(frames[0].sweep.level, frames[0].ground, frames[0].images)
-    total, writer, reader = Sum(bytes_in), ContextImages(), ContextImages()
+def _on_residuals(name: str, frames: Sequence[Frame]) -> Iterator[Trial]:
+    """The frames of a GOP, one after the other."""
+    writer, reader = IMAGE_CODERS[name](), IMAGE_CODERS[name]()
     for frame in frames:
         images = frame.images
         start = time.process_time()
@@ -98,30 +56,30 @@ def _context(frames: Sequence[Frame], bytes_in: int) -> Sum:
         middle = time.process_time()
         back = reader.decode(*streams, len(frame.sweep), images)
         end = time.process_time()
-        if not np.array_equal(back, frame.sweep.level):
-            raise ArchiveError(f"context coder: scan {frame.sweep.name} does not come back")
-        total.bytes_out += sum(map(len, streams))
-        total.encode_ms += 1e3 * (middle - start)
-        total.decode_ms += 1e3 * (end - middle)
-    return total
+        yield sum(map(len, streams)), np.array_equal(back, frame.sweep.level), middle - start, end - middle
 
 
-def _raw(scan: Scan) -> bytes:
-    return np.column_stack([scan.points, scan.intensity]).astype("<f4").tobytes()
+def _on_scans(coder: Lossless, scans: Sequence[Scan]) -> Iterator[Trial]:
+    for scan in scans:
+        plain = np.column_stack([scan.points, scan.intensity]).astype("<f4").tobytes()
+        start = time.process_time()
+        coded = coder.encode(plain)
+        middle = time.process_time()
+        back = coder.decode(coded, len(plain))
+        yield len(coded), back == plain, middle - start, time.process_time() - middle
 
 
-def _row(
-    sequence: str,
-    coder: str,
-    settings: str,
-    kind: str,
-    error: float | None,
-    points: int,
-    total: Sum,
-    status: str = "ok",
-) -> dict[str, Any]:
-    row = {"sequence": sequence, "coder": coder, "settings": settings, "input": kind, "max_error": error}
-    return row | {"points": points, "status": status, **vars(total)}
+def _sum(trials: Iterable[Trial]) -> dict[str, Any]:
+    """Add the trials of a coder up to the columns of its row."""
+    size, encode, decode = 0, 0.0, 0.0
+    try:
+        for coded, same, there, back in trials:
+            if not same:
+                return {"status": "failed: gives back something else"}
+            size, encode, decode = size + coded, encode + there, decode + back
+    except ArchiveError as error:
+        return {"status": f"failed: {error}"}
+    return {"bytes_out": size, "encode_ms": 1e3 * encode, "decode_ms": 1e3 * decode, "status": "ok"}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -136,11 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows: list[dict[str, Any]] = []
     for sequence in asked.sequences.split(","):
         for row in coder_rows(asked.root, sequence, asked.max_error, asked.scans):
-            rate = (
-                f"{compression_rate(row['bytes_out'], row['points']):.3f} %"
-                if row["status"] == "ok"
-                else row["status"]
-            )
+            ran = row["status"] == "ok"
+            rate = f"{compression_rate(row['bytes_out'], row['points']):.3f} %" if ran else row["status"]
             print(f"{sequence}  {row['input']:9} {row['coder']:12} {rate}", flush=True)
             rows.append(row)
     record(asked.out, coders=pa.Table.from_pylist(rows, schema=CODERS_SCHEMA))

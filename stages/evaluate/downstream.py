@@ -31,12 +31,12 @@ def registration_figures(rows: pa.Table) -> Rows:
 def coder_figures(rows: pa.Table) -> Rows:
     """CR of each coder and input over all sequences, and CPU milliseconds a million points; the best first."""
     keys = ["input", "max_error", "coder", "settings", "status"]
-    sums = ("points", "bytes_in", "bytes_out", "encode_ms", "decode_ms")
+    sums = ("points", "bytes_out", "encode_ms", "decode_ms")
     found = []
     for row in rows.group_by(keys, use_threads=False).aggregate([(name, "sum") for name in sums]).to_pylist():
         total = {name: row[f"{name}_sum"] for name in sums}
         ran = row["status"] == "ok" and total["points"]
-        figures = {key: row[key] for key in keys} | {name: total[name] for name in sums[:3]}
+        figures = {key: row[key] for key in keys} | {name: total[name] for name in sums[:2]}
         figures["rate_percent"] = compression_rate(total["bytes_out"], total["points"]) if ran else None
         for name in ("encode_ms", "decode_ms"):
             figures[name] = 1e6 * total[name] / total["points"] if ran and total[name] is not None else None

@@ -138,7 +138,6 @@ CODERS = pa.schema(
         ("input", pa.string()),  # "residual", or "raw": the scans as they are
         ("max_error", pa.float64()),  # metres, of the residual
         ("points", pa.int64()),  # input points of the scans
-        ("bytes_in", pa.int64()),
         ("bytes_out", pa.int64()),
         ("encode_ms", pa.float64()),  # CPU, sum over the scans
         ("decode_ms", pa.float64()),

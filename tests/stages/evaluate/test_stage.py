@@ -79,7 +79,9 @@ def test_dropped_points_are_no_error(
 def test_the_papers_grid_is_measured_cell_by_cell(street: Street, payload_rows: Rows) -> None:
     scan = street()
     back = grid_to_scan(scan_to_grid(scan, 0.01, row_elevations([scan.points])))
-    (row,) = measure([back], [scan], payload_rows([scan], [back]), in_order=False, max_error=0.01, sample=True)
+    (row,) = measure(
+        [back], [scan], payload_rows([scan], [back]), in_order=False, max_error=0.01, sample=True
+    )
     assert row["points_compared"] == len(back) < len(scan)
     assert 0.005 < row["max_error_m"] < 10 and row["d_d_m2"] > 0 and len(row["sample_error_m"]) == len(back)
     assert row["intensity_exact"] and not row["bit_exact"] and not row["in_order"]
