@@ -52,4 +52,4 @@ def all_runs(report: Mapping[str, Any]) -> list[Run]:
 
 def accuracy_label(metres: float) -> str:
     """Write an asked error."""
-    return f"{1e3 * metres:g} mm" if metres else "bit-exact"
+    return f"{1e3 * metres:.3g} mm" if metres else "bit-exact"
