@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS
 from salpcc.stages.segment.back_projection import classes_of_points
+from salpcc.stages.segment.class_shares import as_in_streets
 from salpcc.stages.segment.inputs import network_input, stack
 from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork
 from salpcc.stages.segment.point_branch import PointTensors
@@ -65,7 +66,7 @@ def segment_scan(network: SegmentNetwork, points: F32, intensity: F32, device: s
     features, sets = _with_seam(features, sets, config.fold)
     with torch.inference_mode(), _one_thread():
         logits = network(features.to(device), _to(sets, device))[..., SEAM:-SEAM]
-        scores = torch.softmax(logits[0].float(), 0).cpu().numpy()
+        scores = as_in_streets(torch.softmax(logits[0].float(), 0).cpu().numpy())
     groups = np.stack([scores[members - 1].sum(axis=0) for members in _MEMBERS])
     best = np.stack([members[scores[members - 1].argmax(axis=0)] for members in _MEMBERS])
     # Rounded, so that the last bits of a processor's arithmetic decide nothing.

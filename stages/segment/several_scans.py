@@ -24,7 +24,7 @@ from salpcc.stages.segment.segmenter import Segmentation
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-REACH = 2  # scans to either side that are asked
+REACH = 4  # scans to either side that are asked
 _SAME = 0.25  # metres between two views of one surface, plus 1 % of the range
 _THROUGH = 1.0  # metres that a neighbour must see past a place, plus 5 % of the range
 _ABOVE = 0.3  # metres above the ground; free space says nothing of the ground itself

@@ -14,10 +14,10 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.segment.checkpoint import save_weights
-from salpcc.stages.segment.network import N_CLASSES, WIDTHS, SegmentNetwork
+from salpcc.stages.segment.class_shares import training_weights
+from salpcc.stages.segment.network import WIDTHS, SegmentNetwork
 from salpcc.stages.segment.point_branch import PointTensors
 from salpcc.stages.segment.training.labelled import sequence_of
 from salpcc.stages.segment.training.losses import segmentation_loss
@@ -28,11 +28,6 @@ Log = Callable[[str], None]
 
 _FOLLOW = 0.998  # share of the average that stays at each step
 _WARM_UP = 0.03  # share of the steps
-# Share of the points of each class in SemanticKITTI (its own statistics, classes 1 to 19).
-_SHARES = (
-    4.26e-2, 1.7e-4, 4.0e-4, 1.96e-3, 2.3e-3, 3.4e-4, 1.3e-4, 4e-5, 1.99e-1, 1.47e-2,
-    1.44e-1, 3.9e-3, 1.33e-1, 7.2e-2, 2.67e-1, 6.0e-3, 7.8e-2, 2.9e-3, 6.2e-4,
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,17 +58,6 @@ class Recipe:
     samples: SampleConfig = field(default_factory=SampleConfig)
 
 
-def class_weights() -> torch.Tensor:
-    """Weights ``(19,)`` by the fourth root of the inverse share, mean 1 over the points.
-
-    With square roots every trunk and bush was a person or a bicycle.
-    """
-    shares = torch.tensor(_SHARES)
-    assert len(shares) == N_CLASSES < len(CLASSES)
-    weights = shares**-0.25
-    return weights / (weights * shares).sum()
-
-
 class Trainer:
     """One training: its network, the average of its weights, its optimiser."""
 
@@ -88,7 +72,7 @@ class Trainer:
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), recipe.rate, recipe.betas, weight_decay=recipe.decay
         )
-        self.weights = class_weights().to(device)
+        self.weights = torch.from_numpy(training_weights()).to(device)
 
     def rate(self) -> float:
         """Learning rate of the coming step: a short warm-up, then a cosine down to 1 %."""

@@ -4,10 +4,11 @@ import numpy as np
 import torch
 
 from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS
-from salpcc.stages.segment.training.loop import class_weights
+from salpcc.stages.segment.class_shares import as_in_streets, training_weights
 from salpcc.stages.segment.training.losses import group_logits, lovasz, segmentation_loss
 from salpcc.stages.segment.training.score import scores
 
+WEIGHTS = torch.from_numpy(training_weights())
 TARGETS = torch.tensor([0, 0, 1, 2, 2, 2])
 
 
@@ -32,9 +33,9 @@ def test_unlabelled_pixels_teach_nothing() -> None:
     logits = torch.randn(1, 19, 4, 8, requires_grad=True)
     targets = torch.randint(0, 19, (1, 4, 8))
     targets[0, :2] = -1
-    segmentation_loss(logits, targets, class_weights()).backward()
+    segmentation_loss(logits, targets, WEIGHTS).backward()
     assert not logits.grad[:, :, :2].any() and logits.grad[:, :, 2:].any()
-    nothing = segmentation_loss(logits, torch.full_like(targets, -1), class_weights())
+    nothing = segmentation_loss(logits, torch.full_like(targets, -1), WEIGHTS)
     assert nothing.item() == 0.0
 
 
@@ -50,3 +51,12 @@ def test_scores_by_hand() -> None:
     assert found["movable"] == 0.8 and found["recall_movable"] == 0.8
     assert found["ground"] == 1.0 and found["ground_with_terrain"] == 0.5
     assert found["other"] == 10 / 12 and abs(found["other_with_terrain"] - 10 / 22) < 1e-12
+
+
+def test_rare_classes_are_weighed_up_and_down_again() -> None:
+    assert WEIGHTS[5] > WEIGHTS[0] > WEIGHTS[8]  # person, car, road
+    torn = np.full((19, 2), 1 / 19, np.float32)
+    back = as_in_streets(torn)
+    assert np.allclose(back.sum(0), 1) and back[5, 0] < back[0, 0] < back[8, 0]
+    sure = np.eye(19, dtype=np.float32)[:, [5]]
+    assert (as_in_streets(sure) == sure).all()
