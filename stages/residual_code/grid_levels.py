@@ -28,7 +28,7 @@ MIXERS = _NODES * _COARSE
 OPINIONS = 2 + len(_SIZES)
 _GIVEN = 2
 
-_RATE = 0.003
+_RATE = 0.004
 _FARTHEST = 4000.0  # an error beyond counts as that
 
 
@@ -85,7 +85,7 @@ def _mixture(
     """Make the mixture at a cell; returns how far off it should be, and how far apart the guesses are."""
     total, blend = 0.0, 0.0
     for k in range(GUESSES):
-        off, count = 0.5 * running[k], 0.5
+        off, count = 0.9 * running[k], 0.9
         if n_before > 0:
             off += errors[row, before[0], k]
             count += 1.0
@@ -95,10 +95,10 @@ def _mixture(
         if up_row >= 0:
             for c in range(max(column - 1, 0), min(column + 3, COLUMNS)):
                 if known[up_row, c] > 0.0:
-                    share = 0.7 if c == column else 0.5
+                    share = 0.4 if c == column else 0.3
                     off += share * errors[up_row, c, k]
                     count += share
-        off = off / count + 0.8
+        off = off / count + 1.3
         trust = 1.0 / (off * off * off)
         total += trust
         blend += trust * guesses[k]
@@ -111,11 +111,11 @@ def _mixture(
         weight[k] = weight[k] / total
         spread += weight[k] * per[k]
         apart += weight[k] * abs(mean[k] - middle)
-        weight[k] = weight[k] * 0.6
-        per[k] = 1.6 / per[k]
+        weight[k] = weight[k] * 0.9
+        per[k] = 2.6 / per[k]
     mean[GUESSES] = middle
-    per[GUESSES] = 1.6 / (spread + 0.25 * apart)
-    weight[GUESSES] = 0.4
+    per[GUESSES] = 2.4 / (spread + 0.375 * apart)
+    weight[GUESSES] = 0.1
     return spread, apart
 
 
@@ -260,7 +260,7 @@ def code_levels(
             for k in range(GUESSES):
                 off = min(abs(mean[k] - r), _FARTHEST)
                 errors[row, column, k] = np.float32(off)
-                running[k] += 0.2 * (min(off, 200.0) - running[k])
+                running[k] += 0.13 * (min(off, 200.0) - running[k])
             for m in range(BEFORE - 1, 0, -1):
                 before[m] = before[m - 1]
             before[0] = column

@@ -18,7 +18,7 @@ _PER_UNIT = 64
 _STEPS = 4096
 _BITS = 16  # of a probability
 _LEAST = 1.0 / 8192
-_SLOWEST = 60  # an estimate is a mean over about so many bits
+_SLOWEST = 90  # an estimate is a mean over about so many bits
 _HEAD_START = 1.6
 EVEN = 1 << 15
 
