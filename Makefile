@@ -1,7 +1,7 @@
 # make demo   the main job on two small simulated sequences; needs Python 3.11+, make and a package index
 # make test   ruff, mypy, pytest, in an environment of its own
 # make bench  our codec against others in turns, CPU time on one core; ROOT=DIR for recorded scans
-# make fuzz   damaged payloads, 20,000 of them
+# make fuzz   damaged input for every reader, 50,000 times
 # make lock   pin the newest versions that pyproject.toml allows
 
 VENV := .venv
@@ -30,7 +30,7 @@ bench: $(VENV)/.product
 	$(BIN)/python -m salpcc.stages.evaluate.bench $(if $(ROOT),--root $(ROOT))
 
 fuzz: $(VENV)/.product
-	$(BIN)/python tests/fuzz.py --count 20000
+	$(BIN)/python tests/fuzz --count 50000
 
 # The lock file is installed first, so that pip has nothing left to choose.
 $(VENV)/.locked: requirements.lock

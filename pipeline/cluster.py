@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import dask
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Worker
 
 from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import UsageError
@@ -48,12 +49,14 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
             yield client
         return
     count = workers if workers is not None else len(os.sched_getaffinity(0))
-    settings = {
+    settings: dict[str, object] = {
         "distributed.worker.daemon": True,
         "distributed.nanny.pre-spawn-environ": _WORKER_ENVIRONMENT,
         "distributed.admin.tick.limit": "60s",
         "distributed.scheduler.worker-saturation": 1.0,
     }
+    if count:
+        settings["distributed.worker.preload"] = [__name__]
     with (
         dask.config.set(settings),
         LocalCluster(
@@ -67,6 +70,11 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
         Client(cluster) as client,
     ):
         yield client
+
+
+def dask_setup(_: Worker) -> None:
+    """Leave Ctrl-C to the run, which ends its workers; a local worker calls this when it starts."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _same_tool(client: Client, scheduler: str) -> None:

@@ -7,6 +7,7 @@ interrupted run resumes by asking for names.
 from __future__ import annotations
 
 import shutil
+import zlib
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from salpcc.schemas.checksum import content_crc
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.shards import facts_of, stamp
@@ -41,7 +43,8 @@ class ShardStore:
 
     def write(self, ref: ShardRef, table: pa.Table, facts: dict[str, Any]) -> None:
         """Write a shard, stamped with who made it and with ``facts``."""
-        table = stamp(table, tool=TOOL, digest=ref.digest, **facts)
+        table = stamp(table, tool=TOOL, digest=ref.digest, content_crc=content_crc(table), **facts)
+        table = table.replace_schema_metadata({**table.schema.metadata, _CRC_KEY: _crc_of(table.schema)})
         with (
             atomic(self.root / ref.path) as stream,
             pa.ipc.new_file(
@@ -54,9 +57,10 @@ class ShardStore:
         """Read a shard and its facts.
 
         Raises:
-            ShardError: missing, damaged, or from a newer major version.
+            ShardError: missing, damaged, or from a newer major version. What is damaged is deleted, so that the
+                same command makes it again.
         """
-        return read_shard(self.root / ref.path)
+        return self._read(ref, facts_only=False)
 
     def facts(self, ref: ShardRef) -> dict[str, Any]:
         """Read the facts of a shard only.
@@ -64,7 +68,14 @@ class ShardStore:
         Raises:
             ShardError: as in :meth:`read`.
         """
-        return read_shard(self.root / ref.path, facts_only=True)[1]
+        return self._read(ref, facts_only=True)[1]
+
+    def _read(self, ref: ShardRef, facts_only: bool) -> tuple[pa.Table, dict[str, Any]]:
+        try:
+            return read_shard(self.root / ref.path, facts_only)
+        except ShardError:
+            (self.root / ref.path).unlink(missing_ok=True)
+            raise
 
     def drop_sequence(self, sequence: str, stages: Iterable[str]) -> None:
         """Delete the shards of some stages of a sequence."""
@@ -80,6 +91,14 @@ class ShardStore:
             part.unlink(missing_ok=True)
 
 
+_CRC_KEY = b"salpcc.crc"  # of the facts, which hold the checksum of the content
+
+
+def _crc_of(schema: pa.Schema) -> bytes:
+    facts = b"".join(v for k, v in sorted(schema.metadata.items()) if k != _CRC_KEY)
+    return b"%08x" % zlib.crc32(facts)
+
+
 def read_shard(path: Path, facts_only: bool = False) -> tuple[pa.Table, dict[str, Any]]:
     """Read any shard file: its table (empty where ``facts_only``) and its facts.
 
@@ -89,10 +108,14 @@ def read_shard(path: Path, facts_only: bool = False) -> tuple[pa.Table, dict[str
     try:
         with pa.OSFile(str(path)) as file, pa.ipc.open_file(file) as reader:
             facts = facts_of(reader.schema, str(path))
-            return (reader.schema.empty_table() if facts_only else reader.read_all()), facts
+            table = reader.schema.empty_table() if facts_only else reader.read_all()
+            sound = reader.schema.metadata.get(_CRC_KEY) == _crc_of(reader.schema)
+            if not sound or not (facts_only or content_crc(table) == facts.get("content_crc")):
+                raise ShardError(f"{path}: damaged (checksum differs); run the same command again")
+            return table, facts
     except OSError as error:
-        raise ShardError(f"{path}: {error.strerror or error}; run the command again") from error
-    except pa.ArrowException as error:
+        raise ShardError(f"{path}: {error.strerror or error}; run the same command again") from error
+    except (pa.ArrowException, MemoryError, UnicodeDecodeError, OverflowError) as error:
         raise ShardError(
-            f"{path}: damaged ({str(error).splitlines()[0]}); delete it and run again"
+            f"{path}: damaged ({(str(error) or type(error).__name__).splitlines()[0]}); run the same command again"
         ) from error

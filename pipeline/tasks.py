@@ -106,7 +106,10 @@ def run_stage(
     store = ShardStore(out)
     digest = digest_of(before.digest, stage, VERSIONS[stage])
     ref = store.ref(gop.sequence, stage, gop.number, digest)
-    facts = store.facts(ref) if store.has(ref) and not redo else None
+    facts = None
+    if store.has(ref) and not redo:
+        with suppress(ShardError):  # a damaged shard is made again
+            facts = store.facts(ref)
     if facts is None or any(error["stage"] != "ingest" for error in facts["errors"]):
         try:
             table, facts = _work(

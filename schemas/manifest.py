@@ -10,6 +10,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from salpcc.schemas.errors import UsageError
 
+_MOST = 10_000  # sequences of a range
+
 
 class SourceEntry(BaseModel):
     """One source: what it is, where it comes from, where it lies here."""
@@ -41,7 +43,7 @@ def load_manifest(path: Path) -> Manifest:
     """
     try:
         manifest = Manifest.model_validate(yaml.safe_load(path.read_text()))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+    except (OSError, yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError(f"{path}: cannot be read as a manifest ({str(error).splitlines()[0]})") from error
     except ValidationError as error:
         first = error.errors()[0]
@@ -69,6 +71,8 @@ def expand_sequences(text: str, splits: dict[str, str] | None = None) -> list[st
             first, last = int(match[1]), int(match[2])
             if last < first:
                 raise UsageError(f"sequences {item!r}: the range descends")
+            if last - first > _MOST:
+                raise UsageError(f"sequences {item!r}: more than {_MOST} of them")
             names += [f"{n:0{len(match[1])}d}" for n in range(first, last + 1)]
         elif re.fullmatch(r"[\w.]+", item) and item.strip("."):
             names.append(item)

@@ -112,7 +112,7 @@ class RosLog:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 yield
-        except (GeneratorExit, SourceError, MemoryError):
+        except (GeneratorExit, SourceError):
             raise
         except Exception as error:  # the reader meets hostile bytes with whatever comes to hand
             raise SourceError(

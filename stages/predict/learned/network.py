@@ -65,10 +65,13 @@ class Network:
 
 
 def load_network(path: Path) -> Network:
-    """Read weights written by :func:`save_network`; raises SalpccError where they are not exact."""
-    with np.load(io.BytesIO(path.read_bytes())) as stored:
-        network = Network(*(np.ascontiguousarray(stored[f.name], np.float32) for f in fields(Network)))
-    check(network)
+    """Read weights written by :func:`save_network`; raises SalpccError where they are damaged or not exact."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes())) as stored:
+            network = Network(*(np.ascontiguousarray(stored[f.name], np.float32) for f in fields(Network)))
+        check(network)
+    except Exception as error:  # NumPy meets damaged bytes with whatever comes to hand
+        raise SalpccError(f"{path}: not weights of the coder ({error})") from error
     return network
 
 

@@ -1,0 +1,68 @@
+"""Payloads of both profiles: a checksum, then kernels. What decodes must be the very same scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from mutate import mutate_payload
+from target import Target, Wrong
+
+from salpcc.schemas.grid import GridSweep
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ground_fit.grid_planes import fit_ground
+from salpcc.stages.ingest.grid import row_elevations, scan_to_grid
+from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.order import azimuth_keys
+from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
+from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.predict.grid_prediction import predict_gop
+from salpcc.stages.residual_code import grid_payload, payload
+from salpcc.stages.residual_code.gop import decode_any, encode_gop
+from salpcc.stages.residual_code.grid_coder import GridModels, encode_grid
+from salpcc.stages.residual_code.grid_images import IMAGE_CODERS
+from salpcc.stages.segment.task import quantise
+
+SENSOR = load_sensor("hdl64e")
+_crcs: dict[Path, list[int]] = {}
+
+
+def small_scan(sensor: SensorModel, rng: np.random.Generator) -> Scan:
+    """A room of a few thousand returns, with strays."""
+    firings = np.arange(0, sensor.ticks_per_turn, 40)
+    laser = np.repeat(np.arange(sensor.n_lasers), len(firings))
+    tick = (np.tile(firings, sensor.n_lasers) + sensor.shift[laser]) % sensor.ticks_per_turn
+    count = (3000 + 500 * np.sin(tick / 200) + rng.normal(0, 5, len(tick))).astype(np.int32)
+    model = unproject(sensor, laser.astype(np.uint8), tick.astype(np.int32), count)
+    order = np.lexsort((azimuth_keys(model), laser))
+    points = (np.rint(model[order] * 1000) / 1000).astype(np.float32)
+    points[:20] = rng.normal(0, 5, (20, 3))
+    return Scan("0", points, (rng.integers(0, 101, len(points)) / 100).astype(np.float32), classes=None)
+
+
+def _sensor_profile(folder: Path) -> list[bytes]:
+    sweep = scan_to_sweep(small_scan(SENSOR, np.random.default_rng(0)), SENSOR)
+    tasks = [(task, effort) for task in (sweep, quantise(sweep, SENSOR, 0.01)) for effort in payload.EFFORTS]
+    _crcs[folder] = [payload.content_crc(task) for task, _ in tasks]
+    return [encode_gop([task], SENSOR, effort)[0].data for task, effort in tasks]
+
+
+def _paper_profile(folder: Path) -> list[bytes]:
+    scan = small_scan(SENSOR, np.random.default_rng(0))
+    grid = scan_to_grid(scan, 0.02, row_elevations([scan.points]))
+    _crcs[folder] = [grid_payload.content_crc(grid)] * len(IMAGE_CODERS)
+    (predicted,) = predict_gop([grid])
+    return [encode_grid(grid, fit_ground(grid), predicted, GridModels(coder)).data for coder in IMAGE_CODERS]
+
+
+def _read(which: int, data: bytes, folder: Path) -> None:
+    for back in decode_any([data], SENSOR):
+        crc = grid_payload.content_crc if isinstance(back, GridSweep) else payload.content_crc
+        if crc(back) != _crcs[folder][which]:
+            raise Wrong("a payload decoded to another scan")
+
+
+TARGETS = {
+    "payload": Target(_sensor_profile, _read, 0.4, mutate_payload),
+    "payload of the paper profile": Target(_paper_profile, _read, 0.04, mutate_payload),
+}
