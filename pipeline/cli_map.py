@@ -84,13 +84,15 @@ def map_(
         if form not in FORMATS:
             raise UsageError(f"--formats {form}: choose from {', '.join(FORMATS)}")
     try:
-        config = MapConfig(
-            voxel=voxel,
-            max_range=max_range,
-            keep_movable=keep_movable,
-            carve=carve,
-            fill=fill_ground,
-            tile=tile,
+        config = MapConfig.model_validate(
+            {
+                "voxel": voxel,
+                "max_range": max_range,
+                "keep_movable": keep_movable,
+                "carve": carve,
+                "fill": fill_ground,
+                "tile": tile,
+            }
         )
     except ValidationError as error:
         first = error.errors()[0]
@@ -204,7 +206,7 @@ def show(out: Path) -> None:
         raise UsageError(f"--view: no PLY tiles in {out / 'tiles'}; add ply to --formats")
     import open3d
 
-    clouds = [open3d.io.read_point_cloud(str(tile)) for tile in tiles]
+    clouds = [open3d.io.read_point_cloud(tile) for tile in tiles]
     if find_spec("rerun") is not None:
         import numpy as np
         import rerun

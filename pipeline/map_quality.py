@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.pipeline.map_plan import F64, Group, MapPlan
-from salpcc.pipeline.map_store import batches_to_truth, read_blocks, truth_to_batch
+from salpcc.pipeline.map_store import TRUTH, batches_to_truth, read_blocks, truth_to_batch, write_blocks
 from salpcc.pipeline.map_tiles import TileResult, read_tile
 from salpcc.pipeline.plan import missing_root
 from salpcc.pipeline.store import ShardStore
@@ -93,9 +92,8 @@ def truth_group(
             if len(counts.keys):
                 tiles.append((tile.x, tile.y))
                 batches.append(truth_to_batch(counts))
-        empty = truth_to_batch(Truth.together([]))
-        table = pa.Table.from_batches(batches, schema=empty.schema)
-        store.write(ref, table, {"stage": "truth", "stage_version": VERSION, "tiles": tiles})
+        facts = {"stage": "truth", "stage_version": VERSION, "tiles": tiles}
+        write_blocks(store, ref, batches, TRUTH, facts)
     return TruthRef(ref, tuple((x, y) for x, y in store.facts(ref)["tiles"]))
 
 
@@ -107,7 +105,7 @@ def tally_tile(
     batches = []
     for truth in truths:
         at = [i for i, place in enumerate(truth.tiles) if place == (tile.x, tile.y)]
-        batches += read_blocks(store, truth.ref, at)
+        batches += read_blocks(store, truth.ref, at)[0]
     counted = batches_to_truth(batches)
     keys, against = np.empty(0, np.int64), np.empty(0, np.uint8)
     if built is not None:
@@ -142,7 +140,7 @@ def rival_tally(
     ]
     keys = np.unique(np.concatenate(kept))
     store = ShardStore(out)
-    batches = [b for t in truths for b in read_blocks(store, t.ref, range(len(t.tiles)))]
+    batches = [b for t in truths for b in read_blocks(store, t.ref, range(len(t.tiles)))[0]]
     return tally(batches_to_truth(batches), keys, config.voxel), len(keys), seconds
 
 

@@ -19,7 +19,7 @@ class MapRequest:
 
     archives: list[Path]
     out: Path
-    config: MapConfig = field(default_factory=MapConfig)
+    config: MapConfig = field(default_factory=lambda: MapConfig.model_validate({}))
     poses: list[str] = field(default_factory=list)
     formats: list[str] = field(default_factory=lambda: list(FORMATS))
     against: Path | None = None

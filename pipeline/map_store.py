@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import resource
+import zlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +22,7 @@ from salpcc.stages.mapping.voxel import Voxels
 F64 = NDArray[np.float64]
 
 # Places are float32 from a corner that the shard's facts name: at 200 m that is 0.02 mm.
-_ENTRIES = pa.schema(
+ENTRIES = pa.schema(
     [
         *((axis, pa.float32()) for axis in "xyz"),
         ("intensity", pa.float32()),
@@ -29,11 +31,11 @@ _ENTRIES = pa.schema(
         ("scans", pa.uint16()),
     ]
 )
-TILE = _ENTRIES.append(pa.field("against", pa.uint8()))
+TILE = ENTRIES.append(pa.field("against", pa.uint8()))
 _VIEWS = pa.schema(
     [("pose", pa.list_(pa.float64())), ("shift", pa.list_(pa.float64())), ("clear", pa.binary())]
 )
-_TRUTH = pa.schema([("key", pa.int64()), *((kind, pa.int64()) for kind in ("static", "standing", "moving"))])
+TRUTH = pa.schema([("key", pa.int64()), *((kind, pa.int64()) for kind in ("static", "standing", "moving"))])
 
 
 def entries_to_batch(voxels: Voxels, corner: F64, against: NDArray[np.uint8] | None = None) -> pa.RecordBatch:
@@ -43,7 +45,7 @@ def entries_to_batch(voxels: Voxels, corner: F64, against: NDArray[np.uint8] | N
     if against is not None:
         columns.append(against)
     return pa.RecordBatch.from_arrays(
-        [pa.array(column) for column in columns], schema=_ENTRIES if against is None else TILE
+        [pa.array(column) for column in columns], schema=ENTRIES if against is None else TILE
     )
 
 
@@ -63,18 +65,44 @@ def batch_to_entries(table: pa.RecordBatch | pa.Table, corner: Sequence[float]) 
     )
 
 
-def read_blocks(store: ShardStore, ref: ShardRef, blocks: Sequence[int]) -> list[pa.RecordBatch]:
-    """Read some record batches of a shard.
+def write_blocks(
+    store: ShardStore,
+    ref: ShardRef,
+    blocks: Sequence[pa.RecordBatch],
+    schema: pa.Schema,
+    facts: dict[str, Any],
+) -> None:
+    """Write a shard of record batches that can be read one by one; inverse: :func:`read_blocks`."""
+    table = pa.Table.from_batches(blocks, schema=schema)
+    store.write(ref, table, {**facts, "block_crcs": [_crc_of(block) for block in blocks]})
+
+
+def read_blocks(
+    store: ShardStore, ref: ShardRef, blocks: Sequence[int]
+) -> tuple[list[pa.RecordBatch], dict[str, Any]]:
+    """Read some record batches of a shard, and its facts.
 
     Raises:
-        ShardError: missing or damaged.
+        ShardError: missing or damaged; what is damaged is deleted, so that the same command makes it again.
     """
-    path = store.root / ref.path
+    path, facts = store.root / ref.path, store.facts(ref)
     try:
         with pa.OSFile(str(path)) as file, pa.ipc.open_file(file) as reader:
-            return [reader.get_batch(block) for block in blocks]
+            found = [reader.get_batch(block) for block in blocks]
     except (OSError, pa.ArrowException) as error:
-        raise ShardError(f"{path}: {str(error).splitlines()[0]}; delete it and run again") from error
+        path.unlink(missing_ok=True)
+        raise ShardError(f"{path}: {str(error).splitlines()[0]}; run the same command again") from error
+    if [_crc_of(batch) for batch in found] != [facts["block_crcs"][block] for block in blocks]:
+        path.unlink(missing_ok=True)
+        raise ShardError(f"{path}: damaged (checksum differs); run the same command again")
+    return found, facts
+
+
+def _crc_of(batch: pa.RecordBatch) -> int:
+    crc = 0
+    for column in batch.columns:
+        crc = zlib.crc32(np.array(column).tobytes(), crc)
+    return crc
 
 
 def views_to_table(views: Sequence[View]) -> pa.Table:
@@ -104,7 +132,7 @@ def table_to_views(table: pa.Table, pose: F64) -> list[View]:
 def truth_to_batch(truth: Truth) -> pa.RecordBatch:
     """Turn counts of labelled points into columns; inverse: :func:`batches_to_truth`."""
     columns = [truth.keys, *truth.points.T.copy()]
-    return pa.RecordBatch.from_arrays([pa.array(column) for column in columns], schema=_TRUTH)
+    return pa.RecordBatch.from_arrays([pa.array(column) for column in columns], schema=TRUTH)
 
 
 def batches_to_truth(batches: Sequence[pa.RecordBatch]) -> Truth:

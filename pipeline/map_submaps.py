@@ -9,17 +9,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_scans
 from salpcc.pipeline.map_plan import Group
 from salpcc.pipeline.map_store import (
+    ENTRIES,
     batch_to_entries,
     entries_to_batch,
     peak_mb,
     views_to_table,
     whole_metres,
+    write_blocks,
 )
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.errors import SourceError
@@ -125,10 +126,6 @@ def _gather(
     checked = agreement(group.names[-1], given, submap.found) if given is not None and group.check else None
     corner = whole_metres(submap.poses[0, :3, 3])
     blocks = blocks_of(submap.voxels.xyz, config.tile)
-    table = pa.Table.from_batches(
-        [entries_to_batch(submap.voxels[part], corner) for _, part in blocks],
-        schema=None if blocks else entries_to_batch(submap.voxels, corner).schema,
-    )
     store.write(views, views_to_table(submap.views), {"stage": "views", "stage_version": VERSION})
     boxes = [Box.around(submap.voxels.xyz[part]) for _, part in blocks]
     facts = {
@@ -142,7 +139,8 @@ def _gather(
         "peak_mb": peak_mb(),
         "agreement": None if checked is None else asdict(checked),
     }
-    store.write(entries, table, {"stage": "submap", "stage_version": VERSION, **facts})
+    batches = [entries_to_batch(submap.voxels[part], corner) for _, part in blocks]
+    write_blocks(store, entries, batches, ENTRIES, {"stage": "submap", "stage_version": VERSION, **facts})
 
 
 def lost_track(archive: str, name: str, overlap: float) -> SourceError:

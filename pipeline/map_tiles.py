@@ -133,9 +133,9 @@ def _read_parts(
     for part in parts:
         pose = np.array(part.pose).reshape(4, 4)
         if part.blocks:
-            corner = store.facts(part.entries)["corner"]
-            for batch in read_blocks(store, part.entries, part.blocks):
-                voxels = batch_to_entries(batch, corner)
+            batches, facts = read_blocks(store, part.entries, part.blocks)
+            for batch in batches:
+                voxels = batch_to_entries(batch, facts["corner"])
                 moved = Voxels(
                     voxels.xyz if np.array_equal(pose, np.eye(4)) else move(voxels.xyz, pose),
                     voxels.intensity,

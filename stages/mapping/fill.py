@@ -54,10 +54,10 @@ def fill_ground(voxels: Voxels) -> Voxels:
         y0, y1 = box[1].start - _RIM, box[1].stop + _RIM
         window = (slice(max(x0, 0), x1), slice(max(y0, 0), y1))
         hole = labels[window] == number
-        edge = ndimage.binary_dilation(hole, np.ones((3, 3))) & ~hole
+        edge = ndimage.binary_dilation(hole, np.ones((3, 3), np.bool_)) & ~hole
         if is_ground[window][edge].mean() < _MOSTLY:
             continue
-        rim = ndimage.binary_dilation(hole, np.ones((3, 3)), _RIM) & is_ground[window]
+        rim = ndimage.binary_dilation(hole, np.ones((3, 3), np.bool_), _RIM) & is_ground[window]
         near = (places[:, 0] >= window[0].start) & (places[:, 0] < x1)
         near &= (places[:, 1] >= window[1].start) & (places[:, 1] < y1)
         inside = np.flatnonzero(near)

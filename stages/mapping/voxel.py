@@ -148,7 +148,8 @@ def _fold(
             out_classes[g] = classes[j]
             lead = -lead
         out_count[g] += np.uint32(n)
-        out_scans[g] = np.uint16(min(65535, np.int64(out_scans[g]) + np.int64(scans[j])))
+        met = np.int64(out_scans[g]) + np.int64(scans[j])
+        out_scans[g] = np.uint16(met) if met < 65535 else np.uint16(65535)
         if i + 1 == len(order) or new[i + 1]:
             total = np.float64(out_count[g])
             for axis in range(3):
