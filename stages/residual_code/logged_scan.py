@@ -68,3 +68,20 @@ def decode_logged(
     on, off = source_places(sweep, sensor)
     strays = np.column_stack([sweep.stray_points[:, :3], values[off]])
     return replace(sweep, intensity=values[on], stray_points=strays)
+
+
+def encode_stray_classes(sweep: Sweep) -> bytes:
+    """Encode the classes of the strays as a field: the points of an unknown sensor are nothing but strays."""
+    assert sweep.cloud is not None and sweep.stray_classes is not None
+    return encode_field(sweep.stray_classes, points_of(sweep.stray_points[:, :3], sweep.cloud))
+
+
+def decode_stray_classes(sweep: Sweep, stream: bytes) -> tuple[NDArray[np.uint8], int]:
+    """Inverse of :func:`encode_stray_classes`: the classes, and the bytes that they took.
+
+    Raises:
+        ArchiveError: the stream is damaged.
+    """
+    assert sweep.cloud is not None
+    points = points_of(sweep.stray_points[:, :3], sweep.cloud)
+    return decode_field(stream, 0, np.dtype(np.uint8), points)

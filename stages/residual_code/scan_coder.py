@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,10 @@ from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_level
 from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
 from salpcc.stages.residual_code.logged_scan import (
     decode_logged,
+    decode_stray_classes,
     encode_intensity,
     encode_logged,
+    encode_stray_classes,
     intensity_is_field,
 )
 from salpcc.stages.residual_code.models import GopModels
@@ -113,7 +116,8 @@ def encode_scan(
         returned = _run(
             lambda out: class_coder.encode_classes(starts, tick, sweep.classes, models.classes, out), n
         )
-        streams.append(sweep.stray_classes.tobytes() + returned)
+        strays = encode_stray_classes(sweep) if sweep.cloud else sweep.stray_classes.tobytes()
+        streams.append(strays + returned)
     else:
         streams.append(b"")
     if sweep.cloud is not None:
@@ -199,21 +203,24 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
             checked(values.decode_intensity(starts, tick, count, header.step, intensity))
         ]
     fourth = np.zeros(s, np.float32) if as_field else checked(decode_floats(s, stray_intensity))
-    labels = stray_labels = None
-    if header.flags & CLASSES:
-        if len(classes) < s:
-            raise ArchiveError("payload does not decode")
-        stray_labels = classes[:s].copy()
-        labels = checked(class_coder.decode_classes(starts, tick, models.classes, classes[s:]))
     if s and (places[0] < 0 or places[-1] >= n + s or (np.diff(places) <= 0).any()):
         raise ArchiveError("payload does not decode")
     sweep = Sweep(
         "", 0, "", header.n_points, header.motion, header.step, header.max_error,
-        laser, tick, count, intensities, mm_codes, ulp_codes, labels,
-        places, np.column_stack([points, fourth]), stray_labels,
+        laser, tick, count, intensities, mm_codes, ulp_codes, None,
+        places, np.column_stack([points, fourth]), None,
     )  # fmt: skip
     if header.flags & CLOUD:
         sweep = decode_logged(sweep, sensor, streams[8], streams[5] if as_field else None, models.envelope)
+    if header.flags & CLASSES:
+        if header.flags & CLOUD:
+            stray_labels, used = decode_stray_classes(sweep, streams[7])
+        elif len(classes) < s:
+            raise ArchiveError("payload does not decode")
+        else:
+            stray_labels, used = classes[:s].copy(), s
+        labels = checked(class_coder.decode_classes(starts, tick, models.classes, classes[used:]))
+        sweep = replace(sweep, classes=labels, stray_classes=stray_labels)
     if content_crc(sweep) != header.content_crc:
         raise ArchiveError("payload decodes to something else than was coded (checksum differs)")
     return sweep

@@ -10,6 +10,7 @@ Two topics: an organised cloud with NaN, a ring, times, garbage as padding; big-
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -95,6 +96,8 @@ def main() -> None:
         for n in range(2):
             message = LogMessage(channel.id, 1000 + 100 * n, 1010 + 100 * n, n, make(n))
             scans.append(message_to_scan(message, "cdr", channel.topic, f"{channel.topic[1:]}-{n:06d}"))
+        classes = [np.arange(len(scan)) // 7 % 20 for scan in scans]
+        scans = [replace(scan, classes=c.astype(np.uint8)) for scan, c in zip(scans, classes, strict=True)]
         sweeps = [scan_to_sweep(scan, sensor) for scan in scans]
         gops.append(
             [

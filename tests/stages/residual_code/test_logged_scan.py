@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -125,6 +125,8 @@ def test_every_byte_of_every_layout_comes_back(shape: Shape, seed: int) -> None:
     raws = [message(shape, seed + number, number) for number in range(2)]
     scans = [scan_of(raw, shape.encoding, number) for number, raw in enumerate(raws)]
     assert [scan_to_message(scan) for scan in scans] == raws
+    if seed % 2:
+        scans = [replace(scan, classes=(np.arange(len(scan)) // 5 % 20).astype(np.uint8)) for scan in scans]
     sweeps = table_to_sweeps(sweeps_to_table([scan_to_sweep(scan, SENSOR) for scan in scans]))
     payloads = encode_gop(sweeps, SENSOR, "fast")
     assert all(sum(payload.sizes.values()) == len(payload.data) for payload in payloads)
@@ -132,6 +134,9 @@ def test_every_byte_of_every_layout_comes_back(shape: Shape, seed: int) -> None:
     assert [scan_to_message(scan) for scan in back] == raws
     for scan, decoded in zip(scans, back, strict=True):
         assert decoded.intensity.tobytes() == scan.intensity.tobytes()
+        assert (decoded.classes is None) == (scan.classes is None)
+        if scan.classes is not None and decoded.classes is not None:
+            assert decoded.classes.tobytes() == scan.classes.tobytes()
         assert decoded.cloud is not None and scan.cloud is not None
         assert (decoded.cloud.delay, decoded.cloud.sequence) == (scan.cloud.delay, scan.cloud.sequence)
 
