@@ -64,12 +64,15 @@ def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recover
             found.notes.append(f"GOP {number}: which scans it held is not known, {len(came)} came back")
     if not source.all_known:
         last = next((payload.entry.name for gop in reversed(gops) for payload in gop[-1:]), "none")
-        found.notes.append(f"the index is gone: scans after {last} are gone, too, if there were any")
+        found.notes.append(f"the index is gone: what came after scan {last} is gone, too, if anything did")
+    log, damaged = source.passing_log()
+    if damaged:
+        found.notes.append(f"{damaged} chunks of messages of other topics are gone")
     if not found.scans and not found.complete:
         raise ArchiveError(f"{path}: no scan of it is whole")
     # Without its inputs no run takes it for an archive that is finished.
     facts = replace(source.facts, inputs=_inputs(path) if found.complete else "")
-    write_archive(out, facts, gops)
+    write_archive(out, facts, gops, log)
     return found
 
 

@@ -29,6 +29,8 @@ from salpcc.stages.residual_code.archive import (
 from salpcc.stages.residual_code.archive_carve import BROKEN, RECORD_HEAD, Place, attachments, chunks, clouds
 from salpcc.stages.residual_code.archive_reader import entry_of, file_name
 from salpcc.stages.residual_code.archive_writer import message_of
+from salpcc.stages.residual_code.passing import PassingLog
+from salpcc.stages.residual_code.passing_salvage import passing_log
 
 _LEAST_GOP = 100  # bytes; so many GOPs at most lie before a byte, whatever a record claims
 
@@ -86,6 +88,10 @@ class Salvage:
                 break
             found.append(scan)
         return found
+
+    def passing_log(self) -> tuple[PassingLog | None, int]:
+        """Return what passes through, None where nothing did, and how many of its chunks are damaged."""
+        return passing_log(self._data, self.path)
 
     def _facts(self, sensor: SensorModel | None) -> ArchiveFacts:
         self._version, about = ARCHIVE_VERSION, {}

@@ -3,6 +3,7 @@
 import json
 import random
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,12 @@ from salpcc.pipeline.cli import app
 from salpcc.pipeline.recover import Recovery, recover
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import ArchiveError, UsageError
+from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.passing import PassingLog
 
 OLD = Path(__file__).parents[1] / "golden" / "old" / "fast_exact_1.0.mcap"
 NAMES = [f"{n:06d}" for n in range(5)]
@@ -190,6 +194,27 @@ def test_an_archive_of_version_1_0_is_recovered_too(bad: Path) -> None:
     found = rescue(bad, whole[: starts(whole, 0x06)[1] + 60])
     assert (found.scans, found.gone) == (2, []) and not found.complete
     same_scans(bad.with_name("new.mcap"), OLD, ["000000", "000001"])
+
+
+def test_other_topics_of_a_log_come_along(whole: Path, bad: Path) -> None:
+    """What passes through comes back chunk by chunk, and a damaged chunk of it is told of."""
+    reader = ArchiveReader(whole)
+    channel = LogChannel(1, "/imu", "cdr", "sensor_msgs/msg/Imu", "ros2msg", b"text", (("a", "b"),))
+    times = [payload.time for gop in range(3) for payload in reader.payloads(gop)]
+    messages = [LogMessage(1, time + 5, time, n, b"imu" * 20 + bytes([n])) for n, time in enumerate(times)]
+    log = PassingLog([channel], iter(messages))
+    bad.parent.mkdir()
+    write_archive(bad, reader.facts, [reader.payloads(gop) for gop in range(3)], log)
+    data = bad.read_bytes()
+    assert rescue(bad, data).complete and bad.with_name("new.mcap").read_bytes() == data
+    bad.with_name("new.mcap").unlink()
+    chunks = [at for at in starts(data, 0x06) if data[at + 37 : at + 45] == b"\4\0\0\0zstd"]
+    assert len(chunks) == 4
+    found = rescue(bad, flipped(data, 8 * (chunks[1] + 70)))
+    assert found.notes == ["1 chunks of messages of other topics are gone"] and found.scans == 5
+    came = list(ArchiveReader(bad.with_name("new.mcap")).passing())
+    assert [message.sequence for message in came] == [0, 3, 4]
+    assert all(replace(message, at=()) == messages[message.sequence] for message in came)
 
 
 def test_command_line(data: bytes, bad: Path, tmp_path: Path) -> None:

@@ -1,0 +1,73 @@
+"""What passed through a damaged archive: the chunks of other topics whose CRC holds."""
+
+from __future__ import annotations
+
+import mmap
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.mcap_chunks import PARSE_ERRORS, decompress, records, stream
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.passing import PassingLog, passing_channel, passing_messages
+
+# A chunk: length below 2^40, times, size and CRC, the name of its compression, length below 2^40.
+_CHUNK = re.compile(rb"\x06(?=.{5}\0\0\0.{28}\x04\0\0\0zstd.{5}\0\0\0)", re.DOTALL)
+_HEAD = 9 + 44
+_MOST = 1 << 20  # bytes before the first GOP that channels are looked for in
+
+
+def passing_log(data: mmap.mmap, path: Path) -> tuple[PassingLog | None, int]:
+    """Return what passes through, None where nothing did, and how many of its chunks are damaged."""
+    channels = _channels(data, path)
+    whole = [at for at in _chunks(data) if _messages(data, at, channels) is not None]
+    damaged = sum(1 for _ in _chunks(data)) - len(whole)
+    if not channels:
+        return None, damaged
+    found = (message for at in whole for message in _messages(data, at, channels) or ())
+    return PassingLog(channels.values(), found), damaged
+
+
+def _chunks(data: mmap.mmap) -> Iterator[int]:
+    match = _CHUNK.search(data, 0)
+    while match:
+        yield match.start()
+        match = _CHUNK.search(data, match.start() + _HEAD)
+
+
+def _messages(data: mmap.mmap, at: int, channels: dict[int, LogChannel]) -> list[LogMessage] | None:
+    _, _, _, _, size, crc, _, _, length = struct.unpack("<BQQQQII4sQ", data[at : at + _HEAD])
+    try:
+        plain = decompress("zstd", data[at + _HEAD : at + _HEAD + length], size)
+        return list(passing_messages(plain, channels)) if zlib.crc32(plain) == crc else None
+    except PARSE_ERRORS:
+        return None
+
+
+def _channels(data: mmap.mmap, path: Path) -> dict[int, LogChannel]:
+    """The channels by the index, whose CRC holds where it can be read; else by the records at the start."""
+    try:
+        return ArchiveReader(path).log
+    except ArchiveError:
+        found: dict[int, LogChannel] = {}
+    schemas: dict[int, Schema] = {}
+    try:
+        for opcode, _, content in records(data[8:_MOST]):
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream(content))
+                schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL and (channel := Channel.read(stream(content))).id > 1:
+                passing = passing_channel(channel, schemas.get(channel.schema_id))
+                found[passing.id] = passing
+            elif opcode == Opcode.CHUNK:
+                break
+    except PARSE_ERRORS:
+        pass
+    return found
