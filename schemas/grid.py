@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROWS, COLUMNS = 64, 2000
-ALL_TRUSTED = 0xFFFF
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +52,8 @@ class GridPrediction:
             :data:`salpcc.stages.predict.odometry.UNITS`.
         level: ``(64, 2000)`` int32, predicted levels; 0 where there is no prediction.
         spread: ``(64, 2000)`` uint8, 0 to 15, how far off they are expected to be.
-        trusted: bit k: where the spread is k, the nine coders take this prediction rather than the neighbours'.
     """
 
     motion: NDArray[np.int32] | None = None
     level: NDArray[np.int32] | None = None
     spread: NDArray[np.uint8] | None = None
-    trusted: int = ALL_TRUSTED

@@ -41,7 +41,6 @@ GRID_PREDICTION = pa.schema(
         pa.field("motion", list_of(pa.int32())),
         pa.field("level", list_of(pa.int32())),
         pa.field("spread", list_of(pa.uint8())),
-        pa.field("trusted", pa.int32(), nullable=False),
     ]
 )
 
@@ -88,7 +87,6 @@ def grid_predictions_to_table(names: Sequence[str], rows: Sequence[GridPredictio
     columns = [pa.array(names, pa.string())]
     for name in ("motion", "level", "spread"):
         columns.append(list_column([getattr(row, name) for row in rows], GRID_PREDICTION.field(name).type))
-    columns.append(pa.array([row.trusted for row in rows], pa.int32()))
     return pa.Table.from_arrays(columns, schema=GRID_PREDICTION)
 
 
@@ -102,5 +100,5 @@ def table_to_grid_predictions(table: pa.Table) -> list[GridPrediction]:
         for name in ("level", "spread"):
             if arrays[name] is not None:
                 arrays[name] = arrays[name].reshape(ROWS, COLUMNS)
-        rows.append(GridPrediction(**arrays, trusted=table.column("trusted")[row].as_py()))
+        rows.append(GridPrediction(**arrays))
     return rows

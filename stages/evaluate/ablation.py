@@ -27,7 +27,7 @@ from salpcc.stages.evaluate.schema import ABLATIONS
 from salpcc.stages.ingest.grid import ELEVATION_UNIT
 from salpcc.stages.predict.odometry import UNITS
 from salpcc.stages.residual_code.grid_context import ContextImages
-from salpcc.stages.residual_code.grid_residuals import residuals, to_symbols
+from salpcc.stages.residual_code.grid_residuals import ground_first, residuals, to_symbols
 from salpcc.stages.residual_code.image_coder import Images
 from salpcc.stages.residual_code.lossless import CODERS
 
@@ -57,24 +57,26 @@ def frame_bits(frame: Frame, last: Frame) -> Bits:
         "d": (nothing, np.where(ground, unmoved, network)),
         "e": (images.plane, network),
     }
-    bits: Bits = {("a", "ppmd"): 8 * _unpredicted_bytes(level[level > 0])}
+    bits: Bits = {("a", "ppmd"): 8 * _unpredicted_bytes(level[level > 0], ground[level > 0])}
     for variant, (plane, before) in given.items():
-        bits[variant, "ppmd"] = 8 * _residual_bytes(residuals(level, ground, plane, before))
+        bits[variant, "ppmd"] = 8 * _residual_bytes(
+            residuals(level, ground, plane, before), ground[level > 0]
+        )
     # The context coder knows the neighbours in any case; here (a) is what they alone give.
     for variant, (plane, before) in {"a": (nothing, nothing), **given}.items():
         bits[variant, "context"] = 8 * _context_bytes(level, ground, images, plane, before)
     return bits
 
 
-def _residual_bytes(values: NDArray[np.int32]) -> int:
-    symbols, rest = to_symbols(values)
+def _residual_bytes(values: NDArray[np.int32], ground: NDArray[np.bool_]) -> int:
+    symbols, rest = to_symbols(values[ground_first(ground)])
     return len(CODERS["ppmd"].encode(symbols)) + len(rest)
 
 
-def _unpredicted_bytes(values: NDArray[np.int32]) -> int:
+def _unpredicted_bytes(values: NDArray[np.int32], ground: NDArray[np.bool_]) -> int:
     """Levels as they are, by planes of bytes or as residuals are, whichever is less."""
     planes = b"".join(((values >> shift) & 255).astype(np.uint8).tobytes() for shift in (16, 8, 0))
-    return min(len(CODERS["ppmd"].encode(planes)), _residual_bytes(values))
+    return min(len(CODERS["ppmd"].encode(planes)), _residual_bytes(values, ground))
 
 
 def _context_bytes(

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
-from salpcc.stages.ground_fit.grid_planes import ground_of
 from salpcc.stages.ingest.grid import ELEVATION_UNIT, LEVEL_LIMIT, directions
 from salpcc.stages.predict.odometry import UNITS, find_motion
-from salpcc.stages.residual_code.grid_residuals import trusted_spreads
 
 if TYPE_CHECKING:
     from salpcc.stages.predict.st_lstm import Memory
@@ -67,11 +64,7 @@ def predict_gop(sweeps: list[GridSweep]) -> list[GridPrediction]:
     for sweep in sweeps:
         points = beams * (sweep.level.reshape(ROWS * COLUMNS, 1) * sweep.accuracy)
         motion = None if before is None else find_motion(before, points, _guess(sweep, predictions[-1]))
-        predicted = predictor.predict(motion)
-        if predicted.level is not None and predicted.spread is not None:
-            trusted = trusted_spreads(sweep.level, ground_of(sweep), predicted.level, predicted.spread)
-            predicted = replace(predicted, trusted=trusted)
-        predictions.append(predicted)
+        predictions.append(predictor.predict(motion))
         predictor.learn(sweep.level)
         before = points
     return predictions

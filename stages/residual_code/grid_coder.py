@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.schemas.grid import ALL_TRUSTED, COLUMNS, ROWS, GridPrediction, GridSweep
+from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
 from salpcc.stages.ground_fit.grid_planes import PLANE_LIMIT, ground_of, predict_ground
 from salpcc.stages.ground_fit.grid_regions import REGIONS
 from salpcc.stages.predict.grid_prediction import FramePredictor, network_weights
@@ -67,7 +67,7 @@ def encode_grid(
     tick = columns.astype(np.int32)
     images = images_of(planes, predicted, sweep.elevation, sweep.accuracy)
     streams = [
-        _encode_side(sweep.elevation if flags & ELEVATION else None, planes, predicted.trusted),
+        _encode_side(sweep.elevation if flags & ELEVATION else None, planes),
         *models.images.encode(sweep.level, ground_of(sweep), images),
     ]
     hundredths = intensity_levels(sweep.intensity)
@@ -119,7 +119,7 @@ def decode_grids(payloads: Iterable[bytes]) -> Iterator[GridSweep]:
 
 def _decode(header: GridHeader, streams: list[bytes], models: GridModels) -> GridSweep:
     side, mask, ground_map, levels, intensity, classes = streams
-    elevation, planes, trusted = _decode_side(bool(header.flags & ELEVATION), side)
+    elevation, planes = _decode_side(bool(header.flags & ELEVATION), side)
     if elevation is not None:
         models.elevation = elevation
         models.predictor = FramePredictor(elevation, header.accuracy)
@@ -130,7 +130,7 @@ def _decode(header: GridHeader, streams: list[bytes], models: GridModels) -> Gri
             f"payload was predicted with the weights {header.weights.hex()}; this version has "
             f"{network_weights().hex()}: decode it with the version that wrote it"
         )
-    predicted = replace(models.predictor.predict(header.motion), trusted=trusted)
+    predicted = models.predictor.predict(header.motion)
     images = images_of(planes, predicted, models.elevation, header.accuracy)
     level = models.images.decode(mask, ground_map, levels, header.returns, images)
     models.predictor.learn(level)
@@ -166,14 +166,14 @@ def images_of(
     """Return what both sides know of a frame before it, from its planes ``(P, 4)`` and the frames before."""
     ground = predict_ground(planes, elevation, accuracy)
     if predicted.level is None or predicted.spread is None:
-        return Images(ground, _NOTHING, _CALM, ALL_TRUSTED, elevation, accuracy)
-    return Images(ground, predicted.level, predicted.spread, predicted.trusted, elevation, accuracy)
+        return Images(ground, _NOTHING, _CALM, elevation, accuracy)
+    return Images(ground, predicted.level, predicted.spread, elevation, accuracy)
 
 
-def _encode_side(elevation: NDArray[np.int16] | None, planes: NDArray[np.int32], trusted: int) -> bytes:
+def _encode_side(elevation: NDArray[np.int16] | None, planes: NDArray[np.int32]) -> bytes:
     """Counts and elevations as one column of integers, planes as four, the region as the gap to the one before."""
     rows_of = [] if elevation is None else elevation.tolist()
-    heads = np.array([len(planes), trusted, *rows_of], np.int64).reshape(-1, 1)
+    heads = np.array([len(planes), *rows_of], np.int64).reshape(-1, 1)
     rows = planes.astype(np.int64)
     rows[:, 0] -= np.arange(len(rows))
     parts = []
@@ -183,15 +183,13 @@ def _encode_side(elevation: NDArray[np.int16] | None, planes: NDArray[np.int32],
     return len(parts[0]).to_bytes(2, "little") + parts[0] + parts[1]
 
 
-def _decode_side(
-    with_elevation: bool, data: bytes
-) -> tuple[NDArray[np.int16] | None, NDArray[np.int32], int]:
+def _decode_side(with_elevation: bool, data: bytes) -> tuple[NDArray[np.int16] | None, NDArray[np.int32]]:
     """Inverse of :func:`_encode_side`."""
     cut = 2 + int.from_bytes(data[:2], "little")
     head = np.frombuffer(bytearray(data[2:cut]), np.uint8)
-    heads, sound = decode_integers(2 + ROWS * with_elevation, 1, integer_model(1), head)
-    count, trusted = int(heads[0, 0]), int(heads[1, 0])
-    possible = 0 <= count <= REGIONS and 0 <= trusted <= ALL_TRUSTED and not (np.abs(heads[2:]) >> 15).any()
+    heads, sound = decode_integers(1 + ROWS * with_elevation, 1, integer_model(1), head)
+    count = int(heads[0, 0])
+    possible = 0 <= count <= REGIONS and not (np.abs(heads[1:]) >> 15).any()
     if not sound or not possible:
         raise ArchiveError("payload does not decode")
     body = np.frombuffer(bytearray(data[cut:]), np.uint8)
@@ -204,4 +202,4 @@ def _decode_side(
         or (count and (regions[0] < 0 or regions[-1] >= REGIONS or (np.diff(regions) <= 0).any()))
     ):
         raise ArchiveError("payload does not decode")
-    return heads[2:, 0].astype(np.int16) if with_elevation else None, rows.astype(np.int32), trusted
+    return heads[1:, 0].astype(np.int16) if with_elevation else None, rows.astype(np.int32)

@@ -15,6 +15,7 @@ from salpcc.stages.residual_code.grid_context import ContextImages
 from salpcc.stages.residual_code.grid_residuals import (
     from_residuals,
     from_symbols,
+    ground_first,
     residuals,
     to_symbols,
 )
@@ -30,7 +31,8 @@ def plain_streams(
 ) -> tuple[bytes, bytes, bytes, bytes]:
     """Return mask, ground map and symbols of a frame, what the nine coders are given, and the bits stored as they are."""
     filled = level > 0
-    symbols, rest = to_symbols(residuals(level, ground, images.plane, images.trusted_frame))
+    values = residuals(level, ground, images.plane, images.frame)
+    symbols, rest = to_symbols(values[ground_first(ground[filled])])
     return np.packbits(filled).tobytes(), np.packbits(ground[filled]).tobytes(), symbols, rest
 
 
@@ -60,10 +62,12 @@ class ByteImages:
         on_ground[filled] = _bits(self.coder.decode(ground, -(-returns // 8)), returns)
         end = _LENGTH + int.from_bytes(levels[:_LENGTH], "little")
         symbols = self.coder.decode(levels[_LENGTH:end], returns)
-        values, sound = from_symbols(symbols, levels[end:])
+        ordered, sound = from_symbols(symbols, levels[end:])
         if not sound:
             raise ArchiveError("payload does not decode")
-        level, sound = from_residuals(values, filled, on_ground, images.plane, images.trusted_frame)
+        values = np.empty_like(ordered)
+        values[ground_first(on_ground[filled])] = ordered
+        level, sound = from_residuals(values, filled, on_ground, images.plane, images.frame)
         if not sound:
             raise ArchiveError("payload does not decode")
         return level

@@ -103,20 +103,9 @@ def from_residuals(
     return level, bool(sound)
 
 
-def trusted_spreads(
-    level: NDArray[np.int32],
-    ground: NDArray[np.bool_],
-    frame: NDArray[np.int32],
-    spread: NDArray[np.uint8],
-) -> int:
-    """Return for which spreads, bit by bit, the predicted frame is nearer than the neighbours, off the ground."""
-    nothing = np.zeros_like(frame)
-    here = ((frame > 0) & ~ground)[level > 0]
-    gain = np.zeros(16)
-    for sign, prediction in ((1, nothing), (-1, frame)):
-        off = np.abs(residuals(level, ground, nothing, prediction)[here].astype(np.float64))
-        gain += sign * np.bincount(spread[level > 0][here], np.log2(1.0 + off), 16)
-    return int(sum(1 << k for k in range(16) if gain[k] >= 0))
+def ground_first(ground: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the order in which residuals are coded: those of ground, then the others, row by row."""
+    return np.argsort(~ground, kind="stable")
 
 
 def to_symbols(residual: NDArray[np.int32]) -> tuple[bytes, bytes]:

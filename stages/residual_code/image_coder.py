@@ -16,7 +16,6 @@ class Images:
     Attributes:
         plane, frame: levels ``(64, 2000)`` of its planes and from the frames before, 0 for none.
         spread: ``(64, 2000)`` uint8, how far off ``frame`` is expected to be, 0 to 15.
-        trusted: bit k: the nine coders use ``frame`` where the spread is k.
         elevation: ``(64,)`` int16 of the rows, thousandths of a degree.
         accuracy: metres per level.
     """
@@ -24,14 +23,8 @@ class Images:
     plane: NDArray[np.int32]
     frame: NDArray[np.int32]
     spread: NDArray[np.uint8]
-    trusted: int
     elevation: NDArray[np.int16]
     accuracy: float
-
-    @property
-    def trusted_frame(self) -> NDArray[np.int32]:
-        """``frame`` where its spread is trusted, else 0."""
-        return np.where((self.trusted >> self.spread.astype(np.int64)) & 1 == 1, self.frame, np.int32(0))
 
 
 class ImageCoder(Protocol):
