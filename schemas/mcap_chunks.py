@@ -86,9 +86,8 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
     if size > MAX_RECORD:
         raise ValueError(f"a chunk claims {size} bytes, more than {MAX_RECORD} are not read")
     if compression == "zstd":
-        # A frame of no content is no frame for some writers.
         reader = zstandard.ZstdDecompressor(max_window_size=MAX_RECORD).stream_reader(data)
-        plain = reader.read(size + 1) if size else b""
+        plain = reader.read(size + 1)
     elif compression == "lz4":
         plain = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
     elif compression == "":

@@ -11,7 +11,9 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Channel, Message, Schema
 
 from salpcc.schemas.errors import SourceError
@@ -43,14 +45,33 @@ class McapLog:
         self.channels: dict[int, LogChannel] = {}
         self._ids: list[dict[int, int]] = [{} for _ in files]  # of ours, by the file's own
         self._schemas: list[dict[int, Schema]] = [{} for _ in files]
+        self._complete = False
         for number in range(len(files)):
-            for _ in self._walk(number, None):
-                pass
+            if not self._read_summary(number):
+                for _ in self._walk(number, set()):
+                    pass
+        self._complete = True
 
     def messages(self, channels: set[int] | None = None) -> Iterator[LogMessage]:
         """Yield the messages of some channels (None: all) in the order of the files."""
         for number in range(len(self.files)):
             yield from self._walk(number, set(self.channels) if channels is None else channels)
+
+    def _read_summary(self, number: int) -> bool:
+        """Read the channels from the end of a file, if it tells all of them there."""
+        try:
+            with open(self.files[number], "rb") as file:
+                summary = SeekingReader(file, record_size_limit=MAX_RECORD).get_summary()
+            if summary is None or summary.statistics is None:
+                return False
+            if summary.statistics.channel_count != len(summary.channels):
+                return False
+            self._schemas[number].update(summary.schemas)
+            for channel in summary.channels.values():
+                self._add(number, channel)
+            return True
+        except (OSError, McapError, *PARSE_ERRORS):
+            return False  # the walk will say what is wrong
 
     def message(self, topic: str, time: int, at: tuple[int, ...]) -> LogMessage:
         """Read the message at a place that :meth:`messages` told."""
@@ -72,8 +93,8 @@ class McapLog:
         except PARSE_ERRORS as error:
             raise SourceError(f"{path}: {topic} at {time}: damaged ({error})") from error
 
-    def _walk(self, number: int, wanted: set[int] | None) -> Iterator[LogMessage]:
-        """Go through a file; without ``wanted`` only for its channels."""
+    def _walk(self, number: int, wanted: set[int]) -> Iterator[LogMessage]:
+        """Go through a file and yield its messages of the channels wanted."""
         path = self.files[number]
         try:
             size = path.stat().st_size
@@ -101,10 +122,13 @@ class McapLog:
             raise SourceError(f"{path}: {error}") from error
 
     def _record(
-        self, number: int, opcode: int, content: bytes, at: tuple[int, ...], wanted: set[int] | None
+        self, number: int, opcode: int, content: bytes, at: tuple[int, ...], wanted: set[int]
     ) -> Iterator[LogMessage]:
         if opcode == Opcode.MESSAGE:
-            if wanted is not None and self._ids[number].get(int.from_bytes(content[:2], "little")) in wanted:
+            channel = self._ids[number].get(int.from_bytes(content[:2], "little"))
+            if channel is None:
+                raise ValueError("a message is of a channel that is not told before")
+            if channel in wanted:
                 yield self._message(number, content, at)
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(stream(content))
@@ -121,6 +145,10 @@ class McapLog:
             tuple(sorted(channel.metadata.items())),
         )  # fmt: skip
         new = LogChannel(len(self.channels) + 1, *facts)
+        if self._complete and channel.id not in self._ids[number]:
+            raise ValueError(
+                f"its summary does not tell of the channel {channel.topic}; `mcap recover` mends it"
+            )
         same = next((known for known in self.channels.values() if replace(new, id=known.id) == known), new)
         self.channels[same.id] = same
         self._ids[number][channel.id] = same.id
