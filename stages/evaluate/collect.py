@@ -30,8 +30,10 @@ def collect(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
     folders = [out, *beside]
     baselines = next((t for t in (recorded(f, "baselines") for f in folders) if t.num_rows), None)
     report = run_figures(out)
-    for name, sequence in report["sequences"].items():
-        if baselines is not None:
+    others = [{"config": recorded_run(f).get("config", {}), **run_figures(f)} for f in beside]
+    if baselines is not None:
+        first = {name: f for run in (*reversed(others), report) for name, f in run["sequences"].items()}
+        for name, sequence in first.items():
             sequence["baselines"] = baseline_figures(_of(baselines, name))
     compared = {} if baselines is None else baseline_figures(baselines)
     failures = recorded(out, "failures")
@@ -40,7 +42,7 @@ def collect(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
         "run": recorded_run(out),
         "machine": describe_machine(),
         **report,
-        "beside": [{"config": recorded_run(f).get("config", {}), **run_figures(f)} for f in beside],
+        "beside": others,
         "baselines": compared,
         "bd_rate_percent": bd_rates(compared),
         "coders": coder_figures(_joined(folders, "coders")),

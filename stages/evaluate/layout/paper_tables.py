@@ -59,17 +59,17 @@ def table_2(report: Report, runs: list[Run]) -> Table:
     octree = [a for a in published.ACCURACIES if f"{a:g}" in report["baselines"].get("octree", {})]
     columns += [Column(f"octree{a:g}", f"octree, {accuracy_label(a)}", ".2f") for a in octree]
     names = sorted({name for run in runs for name in run.sequences})
+    compared = {name: f["baselines"] for run in runs for name, f in run.sequences.items() if "baselines" in f}
+    compared["all"] = report["baselines"]
     rows: list[dict[str, Any]] = []
     for name in [*names, "all"]:
         row: dict[str, Any] = {"sequence": name}
         for i, run in enumerate(runs):
             figures = run.total if name == "all" else run.sequences.get(name)
             row[f"run{i}"] = figures and figures["geometry_rate_percent"]
-        measured = report if name == "all" else report["sequences"].get(name, {})
         for a in octree:
-            row[f"octree{a:g}"] = (
-                (measured.get("baselines") or {}).get("octree", {}).get(f"{a:g}") or {}
-            ).get("geometry_rate_percent")
+            measured = compared.get(name, {}).get("octree", {}).get(f"{a:g}") or {}
+            row[f"octree{a:g}"] = measured.get("geometry_rate_percent")
         rows.append(row)
     for heading, measure in _BELOW.items():
         rows.append({"sequence": heading, **{f"run{i}": measure(run.total) for i, run in enumerate(runs)}})
