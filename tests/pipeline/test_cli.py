@@ -98,7 +98,7 @@ def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_
         (["run", "sequences", "04", "--root", ".", "--baselines", "magic"], ["magic", "xz"]),
         (["run", "sequences", "04", "--root", ".", "--tmc3", "nowhere/tmc3"], ["--tmc3", "no program"]),
         (["run", "sequences", "04", "--root", ".", "--manifest", "no.yaml"], ["no.yaml"]),
-        (["run", "log", "x.bag", "--topic", "/points"], ["not in this version"]),
+        (["run", "log", "x.bag", "--topic", "/points"], ["x.bag: not found"]),
         (["map", "a.mcap", "--out", "m", "--voxel", "0"], ["--voxel"]),
         (["map", "a.mcap", "--out", "m", "--formats", "laz,obj"], ["--formats obj", "laz"]),
         (["train", "coder", "--data", "nowhere"], ["nowhere: not found"]),
