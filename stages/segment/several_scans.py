@@ -29,7 +29,10 @@ _SAME = 0.25  # metres between two views of one surface, plus 1 % of the range
 _THROUGH = 1.0  # metres that a neighbour must see past a place, plus 5 % of the range
 _ABOVE = 0.3  # metres above the ground; free space says nothing of the ground itself
 _NEIGHBOUR_WEIGHT = 0.5  # of a neighbour's word; the scan's own counts 1
-_THROUGH_WEIGHT = 0.25  # added to the probability that a pixel is movable where two neighbours saw through it
+_LOOKS = 3  # neighbours that must have seen through a place
+_THROUGH_WEIGHT = (
+    0.25  # added to the probability that a pixel is movable where enough neighbours saw through it
+)
 
 
 def relative_poses(motions: Sequence[F64 | None]) -> list[F64 | None]:
@@ -131,7 +134,7 @@ def agree(found: Sequence[Segmentation], motions: Sequence[F64 | None]) -> list[
         groups = own.groups.copy()
         groups[:, seen] = total[:-1] / total[-1]
         gone = np.zeros(seen.shape, np.bool_)
-        gone[seen] = (through >= 2) & (own.image.planes[HEIGHT, seen] > _ABOVE)
+        gone[seen] = (through >= _LOOKS) & (own.image.planes[HEIGHT, seen] > _ABOVE)
         groups[MOVABLE, gone] += _THROUGH_WEIGHT
         settled.append(replace(own, groups=groups))
     return settled

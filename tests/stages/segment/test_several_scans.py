@@ -50,8 +50,8 @@ def test_what_neighbours_looked_through_has_moved() -> None:
     far = _wall(30.0, 12.0)
     box = _wall(15.0, 1.0)
     still = np.zeros(6)
-    found = [_seen(far, 0.0), _seen(np.concatenate([box, far]), 0.4), _seen(far, 0.0)]
-    settled = agree(found, [None, still, still])[1]
+    found = [_seen(far, 0.0), _seen(np.concatenate([box, far]), 0.4), _seen(far, 0.0), _seen(far, 0.0)]
+    settled = agree(found, [None, still, still, still])[1]
     image = found[1].image
     ours = image.index[(image.index >= 0)] < len(box)
     gained = (settled.groups[MOVABLE] - found[1].groups[MOVABLE])[image.index >= 0]
