@@ -101,7 +101,7 @@ def _warped(frame: Frame, last: Frame) -> NDArray[np.int32]:
     accuracy = frame.sweep.accuracy
     millimetres = np.rint(last.sweep.level * accuracy * 1e3).astype(np.int32)
     pose = pose_of(frame.predicted.motion * UNITS)
-    moved, _ = warp(millimetres, pose, frame.sweep.elevation * ELEVATION_UNIT)
+    moved, _ = warp(millimetres, pose, (frame.sweep.elevation * ELEVATION_UNIT).astype(np.float64))
     return np.rint(moved * 1e-3 / accuracy).astype(np.int32)
 
 

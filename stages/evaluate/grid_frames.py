@@ -59,7 +59,7 @@ def read_gops(root: Path, sequence: str, size: int = 8) -> Iterator[list[tuple[i
 
 def paper_frames(scans: Sequence[tuple[int, Scan]], accuracy: float) -> list[Frame]:
     """Take a GOP of labelled scans through the stages of the paper profile up to prediction; movables are dropped."""
-    config = RunConfig(profile="paper", max_error=accuracy, labels="given")
+    config = RunConfig.model_validate({"profile": "paper", "max_error": accuracy, "labels": "given"})
     project = Projector(load_sensor(config.sensor))
     task = segment.run(sweeps_to_table([project(number, scan) for number, scan in scans]), config)
     planes = ground_fit.run(task, config)
