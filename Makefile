@@ -2,6 +2,7 @@
 # make test   ruff, mypy, pytest, in an environment of its own
 # make bench  our codec against others in turns, CPU time on one core; ROOT=DIR for recorded scans
 # make fuzz   damaged input for every reader, 50,000 times
+# make soak   100 killed workers, then 2,000 scans on two; ROOT=DIR for recorded ones
 # make lock   pin the newest versions that pyproject.toml allows
 
 VENV := .venv
@@ -12,7 +13,7 @@ SOURCES := $(shell find schemas stages pipeline -type f -not -path '*/__pycache_
 OUT ?= out/demo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test bench fuzz lock clean
+.PHONY: demo test bench fuzz soak lock clean
 
 demo: $(VENV)/.product
 	$(BIN)/salpcc-pipeline run sequences 00,01 --source simulated --frames 0:8 --keep-movable --out $(OUT)
@@ -31,6 +32,10 @@ bench: $(VENV)/.product
 
 fuzz: $(VENV)/.product
 	$(BIN)/python tests/fuzz --count 50000
+
+soak: $(VENV)/.product
+	SALPCC_KILLS=100 $(BIN)/pytest -q tests/pipeline/test_faults.py -k killed_workers
+	$(BIN)/python tests/soak.py $(if $(ROOT),--data $(ROOT))
 
 # The lock file is installed first, so that pip has nothing left to choose.
 $(VENV)/.locked: requirements.lock

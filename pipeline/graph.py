@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from distributed import Client, Future, as_completed
-from distributed.comm import CommClosedError
+from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from salpcc.pipeline.plan import SequencePlan

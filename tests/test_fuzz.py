@@ -54,12 +54,9 @@ def test_damaged_input_is_refused(name: str, fuzz: ModuleType) -> None:
 
 
 def test_a_reader_that_takes_anything_is_found_out(fuzz: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    import containers  # type: ignore[import-not-found]
-
-    monkeypatch.setattr(containers, "content_crc", lambda table: 0, raising=False)
     monkeypatch.setattr("salpcc.pipeline.store.content_crc", lambda table: 0)
     wrong = fuzz.fuzz("shard", 200, seed=7, memory=None)
-    assert wrong is not None and "a damaged shard gave other sweeps" in wrong
+    assert wrong is not None and "a damaged shard gave another table" in wrong
 
 
 @given(document=JSON, key=st.sampled_from(sorted(SENSOR)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 from mutate import mutate_mcap
 from payloads import small_scan
 from target import Target, Wrong
@@ -65,23 +66,32 @@ def _recover_archive(_: int, data: bytes, folder: Path) -> None:
     ArchiveReader(new).check()
 
 
+_TABLES = [
+    sweeps_to_table([scan_to_sweep(scan, SENSOR) for scan in _scans()[:2]]),
+    # Nulls, texts, empty lists: what makes Arrow follow offsets.
+    pa.table(
+        {"s": ["a", None, "ccc"], "l": [[1.5], None, []], "b": [b"x", b"", None], "t": [True, None, False]}
+    ),
+]
+
+
 def _shards(folder: Path) -> list[bytes]:
-    table = sweeps_to_table([scan_to_sweep(scan, SENSOR) for scan in _scans()[:2]])
     store, ref = ShardStore(folder), ShardRef("whole.arrow", "0" * 64)
-    store.write(ref, table, {"errors": [], "times": []})
-    return [(store.root / ref.path).read_bytes()]
+    found = []
+    for table in _TABLES:
+        store.write(ref, table, {"errors": [], "times": []})
+        found.append((store.root / ref.path).read_bytes())
+    return found
 
 
-_sweeps = sweeps_to_table([scan_to_sweep(scan, SENSOR) for scan in _scans()[:2]])
-
-
-def _read_shard(_: int, data: bytes, folder: Path) -> None:
+def _read_shard(which: int, data: bytes, folder: Path) -> None:
     path = folder / "a.arrow"
     path.write_bytes(data)
     table, _facts = read_shard(path)
-    table_to_sweeps(table)
-    if not table.replace_schema_metadata(None).equals(_sweeps.replace_schema_metadata(None)):
-        raise Wrong("a damaged shard gave other sweeps")
+    if not table.replace_schema_metadata(None).equals(_TABLES[which].replace_schema_metadata(None)):
+        raise Wrong("a damaged shard gave another table")
+    if which == 0:
+        table_to_sweeps(table)
 
 
 TARGETS = {

@@ -35,6 +35,29 @@ def test_damaged_shard_names_itself(tmp_path: Path, content: bytes) -> None:
         store.read(ref)
 
 
+def test_flipped_bits_of_a_shard_are_found_and_it_is_made_again(tmp_path: Path) -> None:
+    """Arrow and zstd have no checksums of their own: a shard's facts and content carry ours."""
+    store = ShardStore(tmp_path)
+    ref = store.ref("04", "segment", 0, "0" * 64)
+    odd = {"s": ["a", None, "ccc"], "l": [[1.5], None, []], "b": [b"x", b"", None], "t": [True, None, False]}
+    table = pa.table({**odd, "many": pa.array([list(range(500))] * 3)})
+    store.write(ref, table, {"stage": "segment"})
+    whole = (store.root / ref.path).read_bytes()
+    same = 0
+    for bit in range(3, 8 * len(whole), 97):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        (store.root / ref.path).write_bytes(damaged)
+        try:
+            found, facts = store.read(ref)
+        except ShardError:
+            assert not store.has(ref)  # so the next run makes it
+        else:
+            assert found.to_pydict() == table.to_pydict() and facts["stage"] == "segment"
+            same += 1
+    assert same < 8 * len(whole) // 97 // 2  # padding, and metadata that is there twice
+
+
 def test_missing_shard_names_itself(tmp_path: Path) -> None:
     store = ShardStore(tmp_path)
     with pytest.raises(ShardError, match=r"00000-0000000000000000\.arrow"):
