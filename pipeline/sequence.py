@@ -26,6 +26,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import list_array
 from salpcc.schemas.work import GopSource, ScanRef, ShardRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
+from salpcc.stages.evaluate.baseline_figures import OURS
 from salpcc.stages.evaluate.baselines import BASELINES, measure
 from salpcc.stages.evaluate.baselines.apart import measure_scans
 from salpcc.stages.ingest.sensor_model import load_sensor
@@ -190,8 +191,10 @@ def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
     """
     store = ShardStore(out)
     scans = [[ref.name, ref.digest or file_digest(ref.path)] for ref in gop.scans]
-    missing = BASELINES[name].missing()
-    digest = digest_of("baseline", name, measure.VERSION, scans, *([missing] if missing else []))
+    more: list[Any] = [VERSIONS] if name == OURS else []  # our own codec changes
+    if missing := BASELINES[name].missing():
+        more.append(missing)
+    digest = digest_of("baseline", name, measure.VERSION, scans, *more)
     ref = store.ref(gop.sequence, f"baseline-{name}", gop.number, digest)
     result = GopResult(digest, digest, (("baseline", ref),))
     if not store.has(ref) or redo:
