@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import TWO_PI, arctan2, sin_cos, turn_tables
 
+Row = NDArray[np.float64] | tuple[float, ...]  # of the parameters, or of the constants, of one laser
 NO_CORRECTION = 13  # (0, 0, 0) as a base-3 code of dx + 1, dy + 1, dz + 1
 
 
@@ -40,20 +41,21 @@ def laser_constants(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
     return constants
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def model_point(
     tick: int,
     count: float,
-    p: NDArray[np.float64],
-    c: NDArray[np.float64],
+    p: Row,
+    c: Row,
     count_size: float,
     sines: NDArray[np.float64],
     cosines: NDArray[np.float64],
 ) -> tuple[float, float, float]:
     """Model point in metres of a return of laser ``p`` (constants ``c``); tables of one turn's ticks."""
     h = p[2]
-    cos_phi = cosines[tick] * c[2] - sines[tick] * c[3]
-    sin_phi = sines[tick] * c[2] + cosines[tick] * c[3]
+    sine, cosine = sines[np.uint64(tick)], cosines[np.uint64(tick)]
+    cos_phi = cosine * c[2] - sine * c[3]
+    sin_phi = sine * c[2] + cosine * c[3]
     d = count_size * count + p[4]
     rho = d * c[0]
     r = np.sqrt(max(rho * rho - h * h, 0.0))
@@ -95,24 +97,25 @@ def unproject(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def project_point(
     x: float,
     y: float,
     z: float,
-    p: NDArray[np.float64],
-    c: NDArray[np.float64],
+    p: Row,
+    c: Row,
     count_size: float,
     ticks: int,
-) -> tuple[int, int]:
-    """Nearest (tick, count) of laser ``p`` (constants ``c``) for a raw point in metres."""
+) -> tuple[float, float]:
+    """Nearest (tick, count), both whole, of laser ``p`` (constants ``c``) for a raw point in metres."""
     rho2 = x * x + y * y
     h = p[2]
     phi = arctan2(y, x) - arctan2(h, np.sqrt(max(rho2 - h * h, 0.0)))
-    tick = np.int64(np.rint((phi - p[3]) / TWO_PI * ticks)) % ticks
+    turned = np.rint((phi - p[3]) / TWO_PI * ticks)
+    tick = turned - ticks * np.floor(turned / ticks)
     # Least squares of the distance along the beam from its horizontal and vertical parts.
     d = np.sqrt(rho2) * c[0] + (z - p[1]) * c[1]
-    return tick, np.int64(np.rint((d - p[4]) / count_size))
+    return tick, np.rint((d - p[4]) / count_size)
 
 
 @njit(cache=True, error_model="numpy")
@@ -145,7 +148,7 @@ def project(
     return _project(sensor.parameters, sensor.count, sensor.ticks_per_turn, laser, raw)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def correction_code(a: int, b: int, c: int) -> int:
     """Code three differences as ``9 (a + 1) + 3 (b + 1) + c + 1``, or -1 where one is outside -1..1."""
     if abs(a) > 1 or abs(b) > 1 or abs(c) > 1:

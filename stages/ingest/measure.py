@@ -10,11 +10,12 @@ from salpcc.stages.ingest.lattice import correction_code, laser_constants, model
 from salpcc.stages.ingest.order import azimuth_key
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import turn_tables
+from salpcc.stages.ingest.untwist import BLOCK
 
 MAX_COUNT = (1 << 20) - 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _ordered(bits: int) -> int:
     return bits ^ 0x7FFFFFFF if bits < 0 else bits
 
@@ -28,33 +29,46 @@ def _measure(  # type: ignore[no-untyped-def]
     n = len(laser)
     tick = np.zeros(n, np.int32)
     count = np.zeros(n, np.int32)
-    millimetre = np.full(n, -1, np.int8)
-    ulp = np.full(n, -1, np.int8)
-    key = np.zeros(n)
-    for i in range(n):
-        k = laser[i]
-        if k < 0:
-            continue
-        t, c = project_point(
-            raw[i, 0] / 1000.0, raw[i, 1] / 1000.0, raw[i, 2] / 1000.0,
-            parameters[k], constants[k], count_size, ticks,
-        )  # fmt: skip
-        if c < 0 or c > MAX_COUNT:
-            continue
-        tick[i] = t
-        count[i] = c
-        x, y, z = model_point(t, float(c), parameters[k], constants[k], count_size, sines, cosines)
-        millimetre[i] = correction_code(
-            raw[i, 0] - np.int64(np.rint(x * 1000.0)),
-            raw[i, 1] - np.int64(np.rint(y * 1000.0)),
-            raw[i, 2] - np.int64(np.rint(z * 1000.0)),
-        )
-        ulp[i] = correction_code(
-            _ordered(np.int64(points[i, 0])) - _ordered(np.int64(published[i, 0])),
-            _ordered(np.int64(points[i, 1])) - _ordered(np.int64(published[i, 1])),
-            _ordered(np.int64(points[i, 2])) - _ordered(np.int64(published[i, 2])),
-        )
-        key[i] = azimuth_key(x, y)
+    millimetre = np.empty(n, np.int8)
+    ulp = np.empty(n, np.int8)
+    key = np.empty(n)
+    block = np.empty((5, BLOCK))
+    x, y, z, t, r = block[0], block[1], block[2], block[3], block[4]
+    start = 0
+    while start < n:
+        # A stretch of one laser, so that its constants are no columns; without a laser as if it were 0.
+        size = 1
+        while size < BLOCK and start + size < n and laser[start + size] == laser[start]:
+            size += 1
+        k = max(laser[start], 0)
+        p = parameters[k, 0], parameters[k, 1], parameters[k, 2], parameters[k, 3], parameters[k, 4]
+        c = constants[k, 0], constants[k, 1], constants[k, 2], constants[k, 3]
+        for i in range(size):
+            x[i], y[i], z[i] = raw[start + i, 0], raw[start + i, 1], raw[start + i, 2]
+        for i in range(size):
+            t[i], r[i] = project_point(x[i] / 1000.0, y[i] / 1000.0, z[i] / 1000.0, p, c, count_size, ticks)
+        for i in range(size):
+            tick[start + i], count[start + i] = t[i], min(max(r[i], -1.0), MAX_COUNT + 1.0)
+        for i in range(size):
+            x[i], y[i], z[i] = model_point(np.int32(t[i]), r[i], p, c, count_size, sines, cosines)
+        for i in range(size):
+            key[start + i] = azimuth_key(x[i], y[i])
+        for i in range(size):
+            at = start + i
+            if laser[at] < 0 or count[at] < 0 or count[at] > MAX_COUNT:
+                millimetre[at] = ulp[at] = -1
+                continue
+            millimetre[at] = correction_code(
+                raw[at, 0] - np.int64(np.rint(x[i] * 1000.0)),
+                raw[at, 1] - np.int64(np.rint(y[i] * 1000.0)),
+                raw[at, 2] - np.int64(np.rint(z[i] * 1000.0)),
+            )
+            ulp[at] = correction_code(
+                _ordered(np.int64(points[at, 0])) - _ordered(np.int64(published[at, 0])),
+                _ordered(np.int64(points[at, 1])) - _ordered(np.int64(published[at, 1])),
+                _ordered(np.int64(points[at, 2])) - _ordered(np.int64(published[at, 2])),
+            )
+        start += size
     return tick, count, millimetre, ulp, key
 
 

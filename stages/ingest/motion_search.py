@@ -112,15 +112,29 @@ def _fit(
     return m, misfit, close / max(len(chosen), 1)
 
 
+@njit(cache=True, error_model="numpy")
+def _polar(points: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """How far each point lies from azimuth 0, in turns, and from the axis, in metres."""
+    turns, distance = np.empty(len(points), np.float32), np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        turns[i] = abs(arctan2(points[i, 1], points[i, 0])) / TWO_PI
+    for i in range(len(points)):
+        distance[i] = np.sqrt(points[i, 0] * points[i, 0] + points[i, 1] * points[i, 1])
+    return turns, distance
+
+
 def _grow(
-    points: NDArray[np.float64], turns: NDArray[np.float64], start: NDArray[np.float64], sector: float
+    points: NDArray[np.float64],
+    turns: NDArray[np.float32],
+    distance: NDArray[np.float32],
+    start: NDArray[np.float64],
+    sector: float,
 ) -> NDArray[np.float64] | None:
     """Fit on a narrow sector around azimuth 0, widen it up to the full turn; None if phase is lost.
 
     Near azimuth 0 the displacement is almost nil, so the nearest lattice point is the right one; each
     fit is good enough to unwrap a sector three times as wide.
     """
-    distance = np.hypot(points[:, 0], points[:, 1])
     motion = start
     while True:
         inside = np.flatnonzero(turns < min(sector, 0.495))
@@ -150,13 +164,13 @@ def solve_motion(
         ``(v, w)`` in metres and radians per turn, or None if no motion puts the scan on the lattice.
     """
     exact = points.astype(np.float64)
-    turns = np.abs(np.arctan2(exact[:, 1], exact[:, 0])) / TWO_PI
-    motion = None if start is None else _grow(exact, turns, start, _WARM_SECTOR)
+    turns, distance = _polar(exact)
+    motion = None if start is None else _grow(exact, turns, distance, start, _WARM_SECTOR)
     if motion is None:
         for yaw in _START_YAW_RATES:
             for speed in _START_SPEEDS:
                 guess = np.array([speed, 0.0, 0.0, 0.0, 0.0, yaw])
-                motion = _grow(exact, turns, guess, _FIRST_SECTOR)
+                motion = _grow(exact, turns, distance, guess, _FIRST_SECTOR)
                 if motion is not None:
                     break
             if motion is not None:
@@ -166,12 +180,21 @@ def solve_motion(
     return _fit(exact, _sharpest(exact, turns), motion, 3, True)[0]
 
 
-def _sharpest(points: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.int64]:
+@njit(cache=True, error_model="numpy")
+def _leverage(points: NDArray[np.float64], turns: NDArray[np.float32], c: int) -> NDArray[np.float32]:
+    """What coordinate ``c`` of each point says about the motion. Near half a turn the branch of s is uncertain."""
+    leverage = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        turn = turns[i] if turns[i] < np.float32(0.499) else np.float32(0.0)
+        leverage[i] = turn / max(np.float32(abs(points[i, c])), np.float32(1e-4))
+    return leverage
+
+
+def _sharpest(points: NDArray[np.float64], turns: NDArray[np.float32]) -> NDArray[np.int64]:
     """Pick the points that say most about the motion: far round the turn, one coordinate near 0.
 
-    There float32 is finest. Near half a turn the branch of s is uncertain.
+    There float32 is finest.
     """
-    leverage = np.where(turns < 0.499, turns, 0.0)[:, None] / np.maximum(np.abs(points), 1e-4)
     count = min(_POINTS_TO_POLISH // 3, len(points) - 1)
-    best = [np.argpartition(leverage[:, c], -count)[-count:] for c in range(3)]
+    best = [np.argpartition(_leverage(points, turns, c), -count)[-count:] for c in range(3)]
     return np.unique(np.concatenate(best))

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from salpcc.stages.ingest.trig import TWO_PI, arctan2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", inline="always")
 def azimuth_key(x: float, y: float) -> float:
     """Return the azimuth in [0, 2 pi] of a point, the same on every machine."""
     angle = arctan2(y, x)
     return angle + TWO_PI if angle < 0.0 else angle
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def azimuth_keys(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return :func:`azimuth_key` of points ``(M, 3)``."""
     keys = np.empty(len(points))

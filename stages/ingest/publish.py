@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.lattice import NO_CORRECTION, corrections
-from salpcc.stages.ingest.untwist import forward, on_lattice
+from salpcc.stages.ingest.untwist import BLOCK, forward, on_lattice
 
 
 def ordered_bits(values: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -32,17 +32,23 @@ def from_ordered_bits(bits: NDArray[np.int64]) -> NDArray[np.float32]:
 def _compensate(
     model: NDArray[np.float64], millimetre: NDArray[np.uint8], motion: NDArray[np.float64], moving: bool
 ) -> NDArray[np.float64]:
-    points = np.empty(model.shape)
-    for i in range(len(model)):
-        code = np.int64(millimetre[i])
-        x = on_lattice(model[i, 0], code // 9 - 1)
-        y = on_lattice(model[i, 1], code // 3 % 3 - 1)
-        z = on_lattice(model[i, 2], code % 3 - 1)
+    n = len(model)
+    points = np.empty((n, 3))
+    m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
+    block = np.empty((3, BLOCK))
+    x, y, z = block[0], block[1], block[2]
+    for start in range(0, n, BLOCK):
+        size = min(BLOCK, n - start)
+        for i in range(size):
+            code = np.int64(millimetre[start + i])
+            x[i] = on_lattice(model[start + i, 0], code // 9 - 1)
+            y[i] = on_lattice(model[start + i, 1], code // 3 % 3 - 1)
+            z[i] = on_lattice(model[start + i, 2], code % 3 - 1)
         if moving:
-            x, y, z = forward(x, y, z, motion)
-        points[i, 0] = x
-        points[i, 1] = y
-        points[i, 2] = z
+            for i in range(size):
+                x[i], y[i], z[i] = forward(x[i], y[i], z[i], m)
+        for i in range(size):
+            points[start + i, 0], points[start + i, 1], points[start + i, 2] = x[i], y[i], z[i]
     return points
 
 
@@ -64,23 +70,32 @@ def published_points(compensated: NDArray[np.float64], ulp: NDArray[np.uint8]) -
     return points
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def millimetre_boundary(model: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
     """Distance ``(M, 3)`` in mm to the nearest rounding boundary, and the step across it, +1 or -1."""
     distance = np.empty(model.shape)
     step = np.empty(model.shape, np.int8)
-    for i in range(len(model)):
-        for c in range(3):
-            v = model[i, c] * 1000.0
-            off = v - np.rint(v)
-            distance[i, c] = 0.5 - abs(off)
-            step[i, c] = 1 if off > 0.0 else -1
+    values, distances, steps = model.ravel(), distance.ravel(), step.ravel()
+    for i in range(len(values)):
+        v = values[i] * 1000.0
+        off = v - np.rint(v)
+        distances[i] = 0.5 - abs(off)
+        steps[i] = np.int8(1) if off > 0.0 else np.int8(-1)
     return distance, step
 
 
+@njit(cache=True, error_model="numpy")
 def float32_boundary(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
     """Distance ``(M, 3)`` in nanometres to the nearest float32 rounding boundary, and the step across it."""
+    distance = np.empty(points.shape)
+    step = np.empty(points.shape, np.int8)
     rounded = points.astype(np.float32)
-    off = points - rounded
-    half = np.spacing(np.abs(rounded)).astype(np.float64) * 0.5
-    return (half - np.abs(off)) * 1e9, np.where(off > 0, np.int8(1), np.int8(-1))
+    following = (rounded.view(np.int32) & np.int32(0x7FFFFFFF)) + np.int32(1)
+    values, nearest, after = points.ravel(), rounded.ravel(), following.view(np.float32).ravel()
+    distances, steps = distance.ravel(), step.ravel()
+    for i in range(len(values)):
+        off = values[i] - np.float64(nearest[i])
+        half = np.float64(after[i] - abs(nearest[i])) * 0.5
+        distances[i] = (half - abs(off)) * 1e9
+        steps[i] = np.int8(1) if off > 0.0 else np.int8(-1)
+    return distance, step

@@ -36,28 +36,28 @@ HALF_PI = 1.5707963267948966
 TWO_PI = 6.283185307179586
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def arctan2(y: float, x: float) -> float:
-    """Return the angle of (x, y) in [-pi, pi]; 0 for the origin."""
+    """Return the angle of (x, y) in [-pi, pi]; 0 for the origin and for what is not finite.
+
+    Without branches, so that a loop over points becomes vector instructions.
+    """
     ax = abs(x)
     ay = abs(y)
     swap = ay > ax
     low = ax if swap else ay
     high = ay if swap else ax
-    if high == 0.0:
-        return 0.0
     t = low / high
-    k = int(t * 32.0 + 0.5)
+    t = t if t <= 1.0 else 0.0  # NaN must not become an index
+    k = np.int32(t * 32.0 + 0.5)
     c = k / 32.0
     u = (t - c) / (1.0 + t * c)
     s = u * u
-    angle = _ARCTAN[k] + u * (
+    angle = _ARCTAN[np.uint32(k)] + u * (
         1.0 - s * (1.0 / 3.0 - s * (0.2 - s * (1.0 / 7.0 - s * (1.0 / 9.0 - s * (1.0 / 11.0)))))
     )
-    if swap:
-        angle = HALF_PI - angle
-    if x < 0.0:
-        angle = PI - angle
+    angle = HALF_PI - angle if swap else angle
+    angle = PI - angle if x < 0.0 else angle
     return -angle if y < 0.0 else angle
 
 

@@ -18,9 +18,12 @@ from salpcc.stages.ingest.trig import TWO_PI, arctan2
 # Points of a fitted scan are off the 1 mm lattice by float32 rounding only (about 0.0005 mm).
 ON_LATTICE = 1e-5  # metres
 _FARTHEST = 1e4  # metres
+BLOCK = 512  # points whose coordinates stand apart in short columns, so that loops become vector instructions
+
+Motion = NDArray[np.float64] | tuple[float, float, float, float, float, float]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _rotate(x: float, y: float, z: float, wx: float, wy: float, wz: float) -> tuple[float, float, float]:
     """Rodrigues' rotation of (x, y, z) by the small rotation vector w, by its series."""
     t = wx * wx + wy * wy + wz * wz
@@ -39,18 +42,21 @@ def _rotate(x: float, y: float, z: float, wx: float, wy: float, wz: float) -> tu
     )
 
 
-@njit(cache=True, error_model="numpy")
-def forward(x: float, y: float, z: float, m: NDArray[np.float64]) -> tuple[float, float, float]:
+@njit(cache=True, error_model="numpy", inline="always")
+def forward(x: float, y: float, z: float, m: Motion) -> tuple[float, float, float]:
     """Move one raw point by the motion m."""
-    s = arctan2(y, x) / TWO_PI
+    return moved(x, y, z, arctan2(y, x) / TWO_PI, m)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def moved(x: float, y: float, z: float, s: float, m: Motion) -> tuple[float, float, float]:
+    """Move a point by the part ``s`` of a turn's motion m."""
     px, py, pz = _rotate(x, y, z, s * m[3], s * m[4], s * m[5])
     return px + s * m[0], py + s * m[1], pz + s * m[2]
 
 
-@njit(cache=True, error_model="numpy")
-def _turned_back(
-    x: float, y: float, z: float, s: float, m: NDArray[np.float64]
-) -> tuple[float, float, float]:
+@njit(cache=True, error_model="numpy", inline="always")
+def _turned_back(x: float, y: float, z: float, s: float, m: Motion) -> tuple[float, float, float]:
     """Undo the motion of a point whose s is known."""
     return _rotate(x - s * m[0], y - s * m[1], z - s * m[2], -s * m[3], -s * m[4], -s * m[5])
 
@@ -93,17 +99,23 @@ def inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -
 @njit(cache=True, error_model="numpy")
 def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compensate raw points ``(N, 3)`` in metres for the motion ``(6,)``; the published ones are its float32."""
-    n = raw.shape[0]
+    n = len(raw)
     out = np.empty((n, 3))
-    for i in range(n):
-        x, y, z = forward(raw[i, 0], raw[i, 1], raw[i, 2], motion)
-        out[i, 0] = x
-        out[i, 1] = y
-        out[i, 2] = z
+    m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
+    block = np.empty((3, BLOCK))
+    x, y, z = block[0], block[1], block[2]
+    for start in range(0, n, BLOCK):
+        size = min(BLOCK, n - start)
+        for i in range(size):
+            x[i], y[i], z[i] = raw[start + i, 0], raw[start + i, 1], raw[start + i, 2]
+        for i in range(size):
+            x[i], y[i], z[i] = forward(x[i], y[i], z[i], m)
+        for i in range(size):
+            out[start + i, 0], out[start + i, 1], out[start + i, 2] = x[i], y[i], z[i]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def on_lattice(x: float, correction: int = 0) -> float:
     """Nearest raw coordinate: float32 of a whole number of millimetres, and no -0.0."""
     return np.float64(np.float32((np.rint(x * 1000.0) + correction) / 1000.0 + 0.0))
@@ -120,36 +132,86 @@ def within_reach(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     return within
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _near_inverse(x: float, y: float, z: float, m: Motion) -> tuple[float, float, float]:
+    """:func:`inverse` of points that are neither near the seam nor near the axis, without branches."""
+    s0 = arctan2(y, x) / TWO_PI
+    c = ((y * m[0] - x * m[1]) / (x * x + y * y) - m[5]) * (1.0 / TWO_PI)
+    s = s0 / (1.0 - c)
+    qx, qy, qz = _turned_back(x, y, z, s, m)
+    t = (x * qy - y * qx) / (x * qx + y * qy)
+    s += (s0 + t * (1.0 - t * t * (1.0 / 3.0)) * (1.0 / TWO_PI) - s) / (1.0 - c)
+    qx, qy, _ = _turned_back(x, y, z, s, m)
+    t2 = (x * qy - y * qx) / (x * qx + y * qy)
+    s += (s0 + t2 * (1.0 - t2 * t2 * (1.0 / 3.0)) * (1.0 / TWO_PI) - s) / (1.0 - c)
+    return _turned_back(x, y, z, s, m)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _again(qx: float, qy: float, qz: float, m: Motion, moving: bool) -> tuple[float, float, float]:
+    """Round a raw point to the lattice and move it forward again."""
+    qx, qy, qz = on_lattice(qx), on_lattice(qy), on_lattice(qz)
+    fx, fy, fz = forward(qx, qy, qz, m)
+    return (fx if moving else qx), (fy if moving else qy), (fz if moving else qz)
+
+
+@njit(cache=True, error_model="numpy")
+def _by_branches(x, y, z, motion, raw, again):  # type: ignore[no-untyped-def]
+    """Untwist one point by every branch of s that it may have; fill its rows, tell whether one explains it."""
+    near_seam = x < 0.0 and abs(y) < -0.1 * x
+    for branch in (0, 1, -1):
+        if branch != 0 and not near_seam:
+            break
+        qx, qy, qz = inverse(x, y, z, motion, branch)
+        raw[0], raw[1], raw[2] = np.rint(qx * 1000.0), np.rint(qy * 1000.0), np.rint(qz * 1000.0)
+        again[0], again[1], again[2] = _again(qx, qy, qz, motion, True)
+        if (
+            abs(again[0] - x) < ON_LATTICE
+            and abs(again[1] - y) < ON_LATTICE
+            and abs(again[2] - z) < ON_LATTICE
+        ):
+            return True
+    return False
+
+
 @njit(cache=True, error_model="numpy")
 def _untwist(
     points: NDArray[np.float32], motion: NDArray[np.float64], moving: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
     n = len(points)
-    raw = np.zeros((n, 3), np.int64)
-    again = np.zeros((n, 3))
-    good = np.zeros(n, np.bool_)
-    for i in range(n):
-        x = np.float64(points[i, 0])
-        y = np.float64(points[i, 1])
-        z = np.float64(points[i, 2])
-        if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and abs(z) < _FARTHEST):
-            continue
-        near_seam = moving and x < 0.0 and abs(y) < -0.1 * x
-        for branch in (0, 1, -1):
-            if branch != 0 and not near_seam:
-                break
-            qx, qy, qz = inverse(x, y, z, motion, branch) if moving else (x, y, z)
-            raw[i, 0] = np.int64(np.rint(qx * 1000.0))
-            raw[i, 1] = np.int64(np.rint(qy * 1000.0))
-            raw[i, 2] = np.int64(np.rint(qz * 1000.0))
-            qx, qy, qz = on_lattice(qx), on_lattice(qy), on_lattice(qz)
-            fx, fy, fz = forward(qx, qy, qz, motion) if moving else (qx, qy, qz)
-            again[i, 0] = fx
-            again[i, 1] = fy
-            again[i, 2] = fz
-            if abs(fx - x) < ON_LATTICE and abs(fy - y) < ON_LATTICE and abs(fz - z) < ON_LATTICE:
-                good[i] = True
-                break
+    raw = np.empty((n, 3), np.int64)
+    again = np.empty((n, 3))
+    good = np.empty(n, np.bool_)
+    m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
+    block = np.empty((6, BLOCK))
+    x, y, z, fx, fy, fz = block[0], block[1], block[2], block[3], block[4], block[5]
+    off = np.empty(BLOCK)
+    for start in range(0, n, BLOCK):
+        size = min(BLOCK, n - start)
+        for i in range(size):
+            x[i], y[i], z[i] = points[start + i, 0], points[start + i, 1], points[start + i, 2]
+        for i in range(size):
+            px, py, pz = x[i], y[i], z[i]
+            qx, qy, qz = _near_inverse(px, py, pz, m)
+            qx, qy, qz = (qx if moving else px), (qy if moving else py), (qz if moving else pz)
+            fx[i], fy[i], fz[i] = _again(qx, qy, qz, m, moving)
+            x[i], y[i], z[i] = qx, qy, qz
+            off[i] = max(max(abs(fx[i] - px), abs(fy[i] - py)), abs(fz[i] - pz))
+        for i in range(size):
+            px, py, pz = points[start + i, 0], points[start + i, 1], points[start + i, 2]
+            if not (abs(px) < _FARTHEST and abs(py) < _FARTHEST and abs(pz) < _FARTHEST):
+                raw[start + i] = 0
+                again[start + i] = 0.0
+                good[start + i] = False
+                continue
+            raw[start + i, 0], raw[start + i, 1] = np.rint(x[i] * 1000.0), np.rint(y[i] * 1000.0)
+            raw[start + i, 2] = np.rint(z[i] * 1000.0)
+            again[start + i, 0], again[start + i, 1], again[start + i, 2] = fx[i], fy[i], fz[i]
+            good[start + i] = off[i] < ON_LATTICE
+            if moving and not off[i] < ON_LATTICE:
+                good[start + i] = _by_branches(
+                    np.float64(px), np.float64(py), np.float64(pz), motion, raw[start + i], again[start + i]
+                )
     return raw, again, good
 
 

@@ -65,7 +65,11 @@ def _equations(
         normal = _normal(fixed, reach, cell)
         off = fixed[cell] - p
         distance = (normal * off).sum()
-        if (normal * normal).sum() == 0.0 or abs(distance) > gate or (off * off).sum() > 4.0 * gate * gate + 0.25:
+        if (
+            (normal * normal).sum() == 0.0
+            or abs(distance) > gate
+            or (off * off).sum() > 4.0 * gate * gate + 0.25
+        ):
             continue
         j[0], j[1], j[2] = normal[0], normal[1], normal[2]
         j[3] = p[1] * normal[2] - p[2] * normal[1]
@@ -123,7 +127,9 @@ def rotation(w: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _vector(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation vector of a rotation by less than half a turn; inverse of :func:`rotation`."""
-    axis = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2
+    axis = (
+        np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2
+    )
     sine = float(np.sqrt((axis * axis).sum()))
     angle = float(np.arctan2(sine, (np.trace(matrix) - 1) / 2))
     return axis * (angle / sine if sine > 0 else 1.0)

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Iterable
 
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL as INTENSITY_OF_LEVEL
+from salpcc.stages.predict.hundredths import intensity_levels as intensity_levels
 from salpcc.stages.predict.learned.intensity_model import predict_intensity
 from salpcc.stages.predict.learned.models import load_models
+from salpcc.stages.predict.learned.previous_sweep import warp
 from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, count_levels, predict_ranges
 from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.neighbours import laser_table, predict_levels, ring_starts
-
-INTENSITY_OF_LEVEL = (np.arange(101) / 100).astype(np.float32)
-
-
-def intensity_levels(intensity: NDArray[np.float32]) -> NDArray[np.uint8] | None:
-    """Return intensities ``(M,)`` in hundredths, or None where one is not float32 of n / 100."""
-    with np.errstate(invalid="ignore"):
-        levels = np.clip(np.nan_to_num(np.rint(intensity * 100.0)), 0, 100).astype(np.uint8)
-    same = INTENSITY_OF_LEVEL[levels].view(np.int32) == np.ascontiguousarray(intensity).view(np.int32)
-    return levels if bool(same.all()) else None
 
 
 def effective_effort(sweep: Sweep, sensor: SensorModel, effort: str) -> str:
@@ -31,8 +23,11 @@ def effective_effort(sweep: Sweep, sensor: SensorModel, effort: str) -> str:
     return effort if fits else "fast"
 
 
-def predict(sweep: Sweep, sensor: SensorModel, effort: str) -> Prediction:
-    """Predict each value of a sweep from those before it, as the decoder will."""
+def predict(sweep: Sweep, sensor: SensorModel, effort: str, before: Sweep | None = None) -> Prediction:
+    """Predict each value of a sweep from those before it, as the decoder will.
+
+    ``before`` is the sweep before in the GOP; effort ``max`` alone looks at it.
+    """
     starts = ring_starts(sweep.laser, sensor.n_lasers)
     effort = effective_effort(sweep, sensor, effort)
     if effort == "fast":
@@ -40,7 +35,20 @@ def predict(sweep: Sweep, sensor: SensorModel, effort: str) -> Prediction:
         return Prediction(effort, *predict_levels(starts, sweep.tick, sweep.count, sweep.step, table))
     learned = load_models(effort)
     given = (starts, sweep.tick, sweep.count, sweep.step)
-    ranges = predict_ranges(*given, sensor, learned.ranges)
+    warped = warp(before, sweep.motion, sensor) if learned.looks_back else None
+    ranges = predict_ranges(*given, sensor, learned.ranges, warped)
     values = intensity_levels(sweep.intensity)
-    intensity = None if values is None else predict_intensity(*given, values, sensor, learned.intensity)
+    intensity = (
+        None if values is None else predict_intensity(*given, values, sensor, learned.intensity, warped)
+    )
     return Prediction(effort, range_interval=ranges, intensity_interval=intensity)
+
+
+def predict_sweeps(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str) -> list[Prediction]:
+    """Predict the sweeps of one GOP, each from itself and the one before."""
+    before = None
+    predictions = []
+    for sweep in sweeps:
+        predictions.append(predict(sweep, sensor, effort, before))
+        before = sweep
+    return predictions

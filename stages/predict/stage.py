@@ -9,9 +9,9 @@ from salpcc.schemas.grid_shards import grid_predictions_to_table, table_to_grids
 from salpcc.schemas.shards import predictions_to_table, table_to_sweeps
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.predict.grid_prediction import predict_gop
-from salpcc.stages.predict.prediction import predict
+from salpcc.stages.predict.prediction import predict_sweeps
 
-VERSION = 3
+VERSION = 4
 
 
 def run(task: pa.Table, planes: pa.Table, config: RunConfig) -> pa.Table:
@@ -24,5 +24,5 @@ def run(task: pa.Table, planes: pa.Table, config: RunConfig) -> pa.Table:
         return grid_predictions_to_table(task.column("name").to_pylist(), predict_gop(table_to_grids(task)))
     sensor = load_sensor(config.sensor)
     sweeps = table_to_sweeps(task)
-    predictions = [predict(sweep, sensor, config.effort) for sweep in sweeps]
+    predictions = predict_sweeps(sweeps, sensor, config.effort)
     return predictions_to_table([sweep.name for sweep in sweeps], predictions)

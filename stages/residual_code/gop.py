@@ -15,7 +15,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.grid import grid_to_scan
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.sweep import sweep_to_scan
-from salpcc.stages.predict.prediction import predict
+from salpcc.stages.predict.prediction import predict_sweeps
 from salpcc.stages.residual_code.grid_coder import decode_grids
 from salpcc.stages.residual_code.grid_payload import GRID_CODEC
 from salpcc.stages.residual_code.models import GopModels
@@ -26,7 +26,9 @@ from salpcc.stages.residual_code.scan_coder import decode_scan, encode_scan
 def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "default") -> list[Payload]:
     """Encode the sweeps of one GOP, predictions included."""
     models = GopModels(sensor)
-    return [encode_scan(sweep, sensor, predict(sweep, sensor, effort), models) for sweep in sweeps]
+    group = list(sweeps)
+    predictions = predict_sweeps(group, sensor, effort)
+    return [encode_scan(s, sensor, p, models) for s, p in zip(group, predictions, strict=True)]
 
 
 def decode_any(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep | GridSweep]:

@@ -17,6 +17,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
 from salpcc.stages.predict.learned.models import EFFORTS, LearnedModels, load_models
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
 from salpcc.stages.predict.neighbours import laser_table
 from salpcc.stages.residual_code import (
     class_coder,
@@ -31,6 +32,7 @@ from salpcc.stages.residual_code.range_coder import new_bits
 Bytes = NDArray[np.uint8]
 Starts = NDArray[np.int64]
 Ticks = NDArray[np.int32]
+Before = WarpedSweep | None
 NO_WEIGHTS = bytes(8)
 
 
@@ -41,12 +43,14 @@ class ValueModels(Protocol):
     def weights(self) -> bytes: ...
 
     def encode_levels(self, sweep: Sweep, starts: Starts, predicted: Prediction, out: Bytes) -> int: ...
-    def decode_levels(self, starts: Starts, tick: Ticks, step: int, data: Bytes) -> tuple[Ticks, bool]: ...
+    def decode_levels(
+        self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
+    ) -> tuple[Ticks, bool]: ...
     def encode_intensity(
         self, sweep: Sweep, starts: Starts, values: Bytes, predicted: Prediction, out: Bytes
     ) -> int: ...
     def decode_intensity(
-        self, starts: Starts, tick: Ticks, level: Ticks, step: int, data: Bytes
+        self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
     ) -> tuple[Bytes, bool]: ...
 
 
@@ -69,7 +73,9 @@ class AdaptiveModels:
             )
         )
 
-    def decode_levels(self, starts: Starts, tick: Ticks, step: int, data: Bytes) -> tuple[Ticks, bool]:
+    def decode_levels(
+        self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
+    ) -> tuple[Ticks, bool]:
         level, sound = level_coder.decode_levels(
             starts, tick, step, laser_table(self.sensor), self.levels, self.recent, data
         )
@@ -85,7 +91,7 @@ class AdaptiveModels:
         )
 
     def decode_intensity(
-        self, starts: Starts, tick: Ticks, level: Ticks, step: int, data: Bytes
+        self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
     ) -> tuple[Bytes, bool]:
         values, sound = intensity_coder.decode_intensity(
             starts, tick, level, self.intensity, self.by_laser, data
@@ -113,8 +119,10 @@ class NetworkModels:
         written = int(encode_intervals(predicted.range_interval, out[header:]))
         return written + header if written >= 0 else -1
 
-    def decode_levels(self, starts: Starts, tick: Ticks, step: int, data: Bytes) -> tuple[Ticks, bool]:
-        return range_model.decode_ranges(starts, tick, step, self.sensor, self.learned.ranges, data)
+    def decode_levels(
+        self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
+    ) -> tuple[Ticks, bool]:
+        return range_model.decode_ranges(starts, tick, step, self.sensor, self.learned.ranges, data, before)
 
     def encode_intensity(
         self, sweep: Sweep, starts: Starts, values: Bytes, predicted: Prediction, out: Bytes
@@ -123,10 +131,10 @@ class NetworkModels:
         return int(encode_intervals(predicted.intensity_interval, out))
 
     def decode_intensity(
-        self, starts: Starts, tick: Ticks, level: Ticks, step: int, data: Bytes
+        self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
     ) -> tuple[Bytes, bool]:
         return intensity_model.decode_intensity(
-            starts, tick, level, step, self.sensor, self.learned.intensity, data
+            starts, tick, level, step, self.sensor, self.learned.intensity, data, before
         )
 
 
@@ -142,6 +150,7 @@ class GopModels:
     classes: NDArray[np.uint16] = field(default_factory=lambda: new_bits(class_coder.CONTEXTS))
     envelope: bytearray = field(default_factory=bytearray)  # of the recorded message before
     _values: dict[str, ValueModels] = field(default_factory=dict)
+    _before: list[Sweep | None] = field(default_factory=lambda: [None])
 
     def values(self, effort: str) -> ValueModels:
         """Return the models of levels and intensities of an effort."""
@@ -152,6 +161,15 @@ class GopModels:
                 else AdaptiveModels(self.sensor)
             )
         return self._values[effort]
+
+    def warped(self, effort: str, motion: NDArray[np.float64] | None) -> WarpedSweep | None:
+        """Return the sweep before as one with ``motion`` sees it; None for efforts that do not look back."""
+        looks_back = effort in EFFORTS and load_models(effort).looks_back
+        return warp(self._before[0], motion, self.sensor) if looks_back else None
+
+    def remember(self, sweep: Sweep) -> None:
+        """Keep a decoded sweep for the next one."""
+        self._before[0] = sweep
 
     def known(self, effort: str, weights: bytes) -> ValueModels:
         """Return the models of an effort if they are the ones that ``weights`` names.

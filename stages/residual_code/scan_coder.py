@@ -18,9 +18,9 @@ from salpcc.stages.ingest.publish import (
     millimetre_boundary,
 )
 from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.neighbours import ring_starts
-from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
 from salpcc.stages.residual_code.logged_scan import (
     decode_logged,
@@ -175,7 +175,8 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
         mask_coder.decode_mask(sensor.shift, sensor.ticks_per_turn, n, models.firing, models.mask, mask)
     )
     starts = ring_starts(laser, sensor.n_lasers)
-    count = checked(values.decode_levels(starts, tick, header.step, levels))
+    before = models.warped(header.effort, header.motion)
+    count = checked(values.decode_levels(starts, tick, header.step, before, levels))
     mm_codes = np.full(n, NO_CORRECTION, np.uint8)
     ulp_codes = np.full(n, NO_CORRECTION, np.uint8)
     if header.max_error == 0:
@@ -200,7 +201,7 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
         intensities = checked(decode_floats(n, intensity))
     else:
         intensities = INTENSITY_OF_LEVEL[
-            checked(values.decode_intensity(starts, tick, count, header.step, intensity))
+            checked(values.decode_intensity(starts, tick, count, header.step, before, intensity))
         ]
     fourth = np.zeros(s, np.float32) if as_field else checked(decode_floats(s, stray_intensity))
     if s and (places[0] < 0 or places[-1] >= n + s or (np.diff(places) <= 0).any()):
@@ -223,4 +224,5 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
         sweep = replace(sweep, classes=labels, stray_classes=stray_labels)
     if content_crc(sweep) != header.content_crc:
         raise ArchiveError("payload decodes to something else than was coded (checksum differs)")
+    models.remember(sweep)
     return sweep

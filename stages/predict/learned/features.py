@@ -199,7 +199,7 @@ def point_features(
     work: F32,
     x: F32,
     mu: F32,
-) -> None:
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Fill the features ``x`` (INPUTS,) and the predicted range counts ``mu`` (PREDICTORS,) of return i.
 
     Rings stand at ``[PAD, PAD + n)``; 1 is the ring above, 2 the one above that. ``height2`` is the
@@ -346,12 +346,13 @@ def point_features(
     x[o + 8] = sum_up * quarter
     for k in range(INPUTS):
         x[k] = min(max(np.floor(x[k] * _SCALE + _HALF), -_LIMIT), _LIMIT)
+    return w1, plane_tight, slope_u, slope_v, base
 
 
 @njit(cache=True, error_model="numpy")
 def note_errors(actual: np.float32, mu: F32, error0: F32, error: F32, place: int) -> None:
     """Record how far each predictor was from ``actual`` counts, for the features of later returns."""
-    for p in range(PREDICTORS):
+    for p in range(len(mu)):
         e = abs(mu[p] - actual) * _UNIT
         e = e / np.sqrt(_ONE + e)
         e = e / np.sqrt(_ONE + e)

@@ -14,6 +14,9 @@ from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned.features import PAD, align
 from salpcc.stages.predict.learned.intensity_features import INPUTS, SLOTS, VALUES, intensity_features
 from salpcc.stages.predict.learned.network import Network, forward
+from salpcc.stages.predict.learned.previous_features import INTENSITY_INPUTS, gather, previous_intensity
+from salpcc.stages.predict.learned.previous_features import SLOTS as SEEN
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
 from salpcc.stages.predict.learned.sweep_walk import laser_constants, longest_ring
 from salpcc.stages.residual_code.range_coder import (
     decode_interval,
@@ -77,11 +80,18 @@ def frequencies(out, freq):  # type: ignore[no-untyped-def]
 def walk(  # type: ignore[no-untyped-def]
     mode, starts, azimuth, inverse, intensity, constants,
     first, tables, hidden, hidden_bias, last, last_bias, scales, intervals, state, data,
-    keep, rows_x, rows_side,
+    keep, rows_x, rows_side, before, cones,
 ):  # fmt: skip
     """Predict ``intensity`` (fills ``intervals``), decode it, or collect rows of the returns in ``keep``."""
     n_rings = len(starts) - 1
     size = azimuth.shape[1]
+    inputs = INPUTS
+    if before is not None:
+        inputs = INPUTS + INTENSITY_INPUTS
+        number, rows_azimuth, rows_inverse, rows_height, rows_intensity = before
+        frames = np.zeros((3, rows_azimuth.shape[1]), np.float32)
+        indices = np.zeros((3, size), np.int32)
+        slot, seen = np.zeros((4, SEEN), np.float32), np.zeros(SEEN, np.float32)
     values = np.zeros((3, size), np.float32)
     frame1, frame2, frame3 = (
         np.zeros(size, np.float32),
@@ -90,7 +100,7 @@ def walk(  # type: ignore[no-untyped-def]
     )
     index1, index2, index3 = np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros(size, np.int32)
     unused = np.zeros(size, np.float32)
-    x = np.zeros(INPUTS, np.float32)
+    x = np.zeros(inputs, np.float32)
     work = np.zeros(3 * SLOTS, np.float32)
     width = first.shape[1]
     h, acc, out = (
@@ -150,22 +160,41 @@ def walk(  # type: ignore[no-untyped-def]
         activity = np.float32(3.0)
         here, above1, above2, below = inverse[k], inverse[up], inverse[second], inverse[down]
         places = azimuth[k]
+        if before is not None:
+            change, bias = np.float32(3.0), np.float32(0.0)
+            for r in range(max(k - 1, 0), min(k + 2, n_rings)):
+                if number[r] > 0:
+                    align(
+                        rows_azimuth[r], rows_inverse[r], number[r], -constants[k, 4], places, m,
+                        frames[r - k + 1], indices[r - k + 1], unused,
+                    )  # fmt: skip
         for i in range(m):
             left, above, mean = intensity_features(
                 i, m, places, here, current, n1 > 0, frame1, above1, upper, index1,
                 n2 > 0, above2, other, index2, n3 > 0, below, index3, q, activity, x, work,
             )  # fmt: skip
+            if before is not None:
+                gather(
+                    i, k, places[PAD + i], frames, indices, number, rows_inverse, rows_height, rows_intensity,
+                    cones[k, 0], cones[k, 1], cones[k, 2], slot, seen,
+                )  # fmt: skip
+                once, expected = previous_intensity(here[PAD + i], q, slot, seen, change, bias, x)
             if mode == COLLECT:
                 value = int(intensity[lo + i])
                 if keep[lo + i]:
-                    for p in range(INPUTS):
+                    for p in range(inputs):
                         rows_x[rows, p] = np.int16(x[p])
                     rows_side[rows, 0] = left
                     rows_side[rows, 1] = above
+                    if before is not None:
+                        rows_side[rows, 2] = once
                     rows += 1
             else:
                 for j in range(width):
                     acc[j] = (tables[0, k, j] + tables[1, left, j]) + tables[2, above, j]
+                if before is not None:
+                    for j in range(width):
+                        acc[j] += tables[3, once, j]
                 forward(x, k, first, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
                 frequencies(out, freq)
                 total = 0
@@ -194,6 +223,10 @@ def walk(  # type: ignore[no-untyped-def]
                     decode_interval(state, data, low, high - low, BITS)
                     intensity[lo + i] = value
             current[PAD + i] = np.float32(value)
+            if before is not None:
+                off = np.float32(value) - expected
+                change = np.float32(0.75) * change + np.float32(0.25) * abs(off)
+                bias = np.float32(0.75) * bias + np.float32(0.25) * off
             activity = np.float32(0.75) * activity + np.float32(0.25) * abs(np.float32(value) - mean)
         for p in range(PAD):
             current[PAD - 1 - p] = current[PAD + m - 1 - p % m]
@@ -209,6 +242,7 @@ def predict_intensity(
     intensity: NDArray[np.uint8],
     sensor: SensorModel,
     network: Network,
+    before: WarpedSweep | None = None,
 ) -> NDArray[np.uint32]:
     """Predict intensities ``(M,)`` 0..100 from all ranges and the intensities before.
 
@@ -226,7 +260,7 @@ def predict_intensity(
     unread = np.zeros(1, np.uint8)
     walk(
         PREDICT, starts, azimuth, inverse, intensity, constants, *network.arrays(), intervals,
-        start_decoder(unread), unread, _NO_KEEP, *_NO_ROWS,
+        start_decoder(unread), unread, _NO_KEEP, *_NO_ROWS, *given(before, sensor),
     )  # fmt: skip
     return intervals
 
@@ -239,6 +273,7 @@ def decode_intensity(
     sensor: SensorModel,
     network: Network,
     data: NDArray[np.uint8],
+    before: WarpedSweep | None = None,
 ) -> tuple[NDArray[np.uint8], bool]:
     """Return intensities ``(M,)`` uint8 and whether the data sufficed; inverse of
     :func:`predict_intensity` and the range coder."""
@@ -249,7 +284,7 @@ def decode_intensity(
     state = start_decoder(body)
     walk(
         DECODE, starts, azimuth, inverse, intensity, constants, *network.arrays(), _NO_INTERVALS, state,
-        body, _NO_KEEP, *_NO_ROWS,
+        body, _NO_KEEP, *_NO_ROWS, *given(before, sensor),
     )  # fmt: skip
     return intensity, bool(state[3] == 0)
 
@@ -262,15 +297,17 @@ def collect_intensity(
     intensity: NDArray[np.uint8],
     sensor: SensorModel,
     keep: NDArray[np.bool_],
+    before: WarpedSweep | None = None,
 ) -> tuple[NDArray[np.int16], NDArray[np.uint8]]:
     """Return features and the nearest intensities (left, above) of the returns in ``keep``."""
     n = int(keep.sum())
-    x, sides = np.zeros((n, INPUTS), np.int16), np.zeros((n, 2), np.uint8)
+    more = before is not None
+    x, sides = np.zeros((n, INPUTS + INTENSITY_INPUTS * more), np.int16), np.zeros((n, 2 + more), np.uint8)
     constants = laser_constants(sensor)
     azimuth, inverse = place_rings(starts, tick, level, step, constants)
     none = Network.empty(INPUTS, OUTPUTS)
     walk(
         COLLECT, starts, azimuth, inverse, intensity, constants, *none.arrays(), _NO_INTERVALS,
-        start_decoder(np.zeros(1, np.uint8)), np.zeros(1, np.uint8), keep, x, sides,
+        start_decoder(np.zeros(1, np.uint8)), np.zeros(1, np.uint8), keep, x, sides, *given(before, sensor),
     )  # fmt: skip
     return x, sides

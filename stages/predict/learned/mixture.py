@@ -61,18 +61,19 @@ def set_mixture(out: NDArray[np.float32], mu: NDArray[np.float32], mix: F64) -> 
     Outputs: COMPONENTS logits, offsets in units of the scale, log scales; the base and the return to the left
     count twice.
     """
+    components = len(mu) + len(SHARED)
     largest = out[0]
-    for c in range(1, COMPONENTS):
+    for c in range(1, components):
         largest = max(largest, out[c])
     n = 0
     total = 0.0
-    for c in range(COMPONENTS):
+    for c in range(components):
         depth = float(largest) - float(out[c])
         if depth >= _CUT:
             continue
         weight = WEIGHTS[int(depth * _PER_UNIT)]
-        offset = min(max(float(out[COMPONENTS + c]), -_OFFSET_LIMIT), _OFFSET_LIMIT)
-        log_scale = float(out[2 * COMPONENTS + c]) + _LOG_SCALE_SHIFT
+        offset = min(max(float(out[components + c]), -_OFFSET_LIMIT), _OFFSET_LIMIT)
+        log_scale = float(out[2 * components + c]) + _LOG_SCALE_SHIFT
         log_scale = min(max(log_scale, _LOG_SCALE_LOW), _LOG_SCALE_HIGH)
         s = int((log_scale - _LOG_SCALE_LOW) * _PER_UNIT)
         predictor = c if c < len(mu) else SHARED[c - len(mu)]

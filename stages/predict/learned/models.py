@@ -16,11 +16,15 @@ EFFORTS = ("default", "max")
 
 @dataclass(frozen=True, eq=False)
 class LearnedModels:
-    """The two networks of an effort level; ``digest`` names them in an archive (hex SHA-256)."""
+    """The two networks of an effort level; ``digest`` names them in an archive (hex SHA-256).
+
+    ``looks_back``: whether they ask for the sweep before.
+    """
 
     ranges: Network
     intensity: Network
     digest: str
+    looks_back: bool
 
 
 @cache
@@ -31,4 +35,4 @@ def load_models(effort: str) -> LearnedModels:
     ranges = load_network(WEIGHTS / f"range_{effort}.npz")
     intensity = load_network(WEIGHTS / f"intensity_{effort}.npz")
     digest = sha256(f"{ranges.digest}{intensity.digest}".encode()).hexdigest()
-    return LearnedModels(ranges, intensity, digest)
+    return LearnedModels(ranges, intensity, digest, effort == "max")

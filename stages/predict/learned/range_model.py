@@ -21,8 +21,12 @@ from salpcc.stages.predict.learned.features import (
     note_errors,
     point_features,
 )
-from salpcc.stages.predict.learned.mixture import BITS, COMPONENTS, find_level, level_start, set_mixture
+from salpcc.stages.predict.learned.mixture import BITS, SHARED, find_level, level_start, set_mixture
 from salpcc.stages.predict.learned.network import Network, forward
+from salpcc.stages.predict.learned.previous_features import INPUTS as PREVIOUS_INPUTS
+from salpcc.stages.predict.learned.previous_features import PREDICTORS as PREVIOUS_PREDICTORS
+from salpcc.stages.predict.learned.previous_features import SLOTS, gather, previous_features
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
 from salpcc.stages.predict.learned.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
 from salpcc.stages.residual_code.range_coder import (
     decode_interval,
@@ -42,29 +46,42 @@ _NO_INTERVALS = np.zeros((0, 2), np.uint32)
 def walk(  # type: ignore[no-untyped-def]
     mode, starts, tick, level, step, levels, constants,
     first, tables, hidden, hidden_bias, last, last_bias, scales, intervals, state, data,
-    keep, rows_x, rows_mu, rows_y,
+    keep, rows_x, rows_mu, rows_y, before, cones,
 ):  # fmt: skip
     """Visit every return in firing order: predict ``level``, decode it, or collect rows.
 
     PREDICT fills ``intervals`` with where each level lies in its predicted distribution.
     COLLECT fills one training row per return with ``keep`` set: features, predictions and the actual
-    count, both relative to the last predictor, in counts. Returns the number of rows.
+    count, both relative to the base, in counts. Returns the number of rows.
+
+    ``before`` are the arrays of a :class:`WarpedSweep`, with ``cones`` of :func:`previous_sweep.cones`, or
+    both None for a network that does not ask for them.
     """
+    inputs, predictors = INPUTS, PREDICTORS
+    if before is not None:
+        inputs, predictors = INPUTS + PREVIOUS_INPUTS, PREDICTORS + PREVIOUS_PREDICTORS
+        number, rows_azimuth, rows_inverse, rows_height, rows_intensity = before
+        width = rows_azimuth.shape[1]
+        frames = np.zeros((3, width), np.float32)
+        indices = np.zeros((3, longest_ring(starts)), np.int32)
+        unused = np.zeros(longest_ring(starts), np.float32)
+        slot, values = np.zeros((4, SLOTS), np.float32), np.zeros(SLOTS, np.float32)
+        signed = np.zeros(1, np.float32)
     size = longest_ring(starts) + 2 * PAD
     azimuth = np.zeros((3, size), np.float32)
     inverse = np.zeros((3, size), np.float32)
-    error = np.zeros((3, size, PREDICTORS), np.float32)
+    error = np.zeros((3, size, predictors), np.float32)
     count = np.zeros(3, np.int64)
     frame1, frame2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
     index1, index2 = np.zeros(size, np.int32), np.zeros(size, np.int32)
     value1, value2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
-    error0 = np.zeros(PREDICTORS, np.float32)
+    error0 = np.zeros(predictors, np.float32)
     work = np.zeros(WORK, np.float32)
-    x = np.zeros(INPUTS, np.float32)
-    mu = np.zeros(PREDICTORS, np.float32)
+    x = np.zeros(inputs, np.float32)
+    mu = np.zeros(predictors, np.float32)
     h, acc = np.zeros(first.shape[1], np.float32), np.zeros(first.shape[1], np.float32)
     out = np.zeros(last.shape[1], np.float32)
-    mix = np.zeros((3, COMPONENTS))
+    mix = np.zeros((3, predictors + len(SHARED)))
     step_value = np.float32(step_feature(step))
     middle = np.float32((step - 1) * 0.5)
     rows = 0
@@ -90,12 +107,29 @@ def walk(  # type: ignore[no-untyped-def]
             align(azimuth[r2], second, count[r2], arm, places, m, frame2, index2, value2)
         height2 = np.float32(height_ratio(constants, k))
         error0[:] = np.float32(1.5)
+        if before is not None:
+            signed[0] = np.float32(0.0)
+            for r in range(max(k - 1, 0), min(k + 2, len(number))):
+                if number[r] > 0:
+                    align(
+                        rows_azimuth[r], rows_inverse[r], number[r], -lever, places, m,
+                        frames[r - k + 1], indices[r - k + 1], unused,
+                    )  # fmt: skip
         for i in range(m):
-            point_features(
+            w1, tight, slope_u, slope_v, base = point_features(
                 i, m, places, here, frame1, above, errors1, index1, value1, has1,
                 frame2, second, index2, value2, has2, height2, quotient, offset, step_value,
                 error0, work, x, mu,
             )  # fmt: skip
+            if before is not None:
+                gather(
+                    i, k, places[PAD + i], frames, indices, number, rows_inverse, rows_height, rows_intensity,
+                    cones[k, 0], cones[k, 1], cones[k, 2], slot, values,
+                )  # fmt: skip
+                previous_features(
+                    w1, tight, slope_u, slope_v, base, quotient, offset, slot, signed, error0, errors1,
+                    index1[i], has1, x, mu,
+                )  # fmt: skip
             value = 0
             if mode == COLLECT:
                 value = int(level[lo + i])
@@ -117,10 +151,12 @@ def walk(  # type: ignore[no-untyped-def]
             actual = np.float32(value * step) + middle
             here[PAD + i] = quotient / max(actual + offset, np.float32(1.0))
             note_errors(actual, mu, error0, errors, PAD + i)
+            if before is not None:
+                signed[0] = actual - mu[PREDICTORS]
             if mode == COLLECT and keep[lo + i]:
-                for p in range(INPUTS):
+                for p in range(inputs):
                     rows_x[rows, p] = np.int16(x[p])
-                for p in range(PREDICTORS):
+                for p in range(predictors):
                     rows_mu[rows, p] = mu[p] - mu[PREDICTORS - 1]
                 rows_y[rows] = actual - mu[PREDICTORS - 1]
                 rows += 1
@@ -140,6 +176,7 @@ def predict_ranges(
     step: int,
     sensor: SensorModel,
     network: Network,
+    before: WarpedSweep | None = None,
 ) -> NDArray[np.uint32]:
     """Predict every level ``(M,)`` from the returns before it.
 
@@ -157,7 +194,7 @@ def predict_ranges(
     unread = np.zeros(1, np.uint8)
     walk(
         PREDICT, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), intervals,
-        start_decoder(unread), unread, _NO_KEEP, *_NO_ROWS,
+        start_decoder(unread), unread, _NO_KEEP, *_NO_ROWS, *given(before, sensor),
     )  # fmt: skip
     return intervals
 
@@ -169,6 +206,7 @@ def decode_ranges(
     sensor: SensorModel,
     network: Network,
     data: NDArray[np.uint8],
+    before: WarpedSweep | None = None,
 ) -> tuple[NDArray[np.int32], bool]:
     """Return the levels ``(M,)`` int32 and whether the data sufficed; inverse of
     :func:`predict_ranges` and the range coder."""
@@ -180,7 +218,7 @@ def decode_ranges(
     state = start_decoder(body)
     walk(
         DECODE, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), _NO_INTERVALS, state,
-        body, _NO_KEEP, *_NO_ROWS,
+        body, _NO_KEEP, *_NO_ROWS, *given(before, sensor),
     )  # fmt: skip
     return level, bool(state[3] == 0)
 
@@ -192,13 +230,17 @@ def collect_ranges(
     step: int,
     sensor: SensorModel,
     keep: NDArray[np.bool_],
+    before: WarpedSweep | None = None,
 ) -> tuple[NDArray[np.int16], NDArray[np.float32], NDArray[np.float32]]:
     """Return training rows of the returns in ``keep``: features, predictions, target (see :func:`walk`)."""
     n = int(keep.sum())
-    x, mu, y = np.zeros((n, INPUTS), np.int16), np.zeros((n, PREDICTORS), np.float32), np.zeros(n, np.float32)
+    more = before is not None
+    x = np.zeros((n, INPUTS + PREVIOUS_INPUTS * more), np.int16)
+    mu = np.zeros((n, PREDICTORS + PREVIOUS_PREDICTORS * more), np.float32)
+    y = np.zeros(n, np.float32)
     none = Network.empty(INPUTS, 4)
     walk(
         COLLECT, starts, tick, level, step, 1, laser_constants(sensor), *none.arrays(), _NO_INTERVALS,
-        start_decoder(np.zeros(1, np.uint8)), np.zeros(1, np.uint8), keep, x, mu, y,
+        start_decoder(np.zeros(1, np.uint8)), np.zeros(1, np.uint8), keep, x, mu, y, *given(before, sensor),
     )  # fmt: skip
     return x, mu, y

@@ -12,11 +12,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from salpcc.stages.predict.learned.features import INPUTS, LIMIT, PREDICTORS, SCALE
-from salpcc.stages.predict.learned.intensity_features import INPUTS as INTENSITY_INPUTS
+from salpcc.stages.predict.learned.features import LIMIT, SCALE
 from salpcc.stages.predict.learned.intensity_features import VALUES
 from salpcc.stages.predict.learned.intensity_model import OUTPUTS
-from salpcc.stages.predict.learned.mixture import BITS, COMPONENTS, SHARED
+from salpcc.stages.predict.learned.mixture import BITS, SHARED
 
 if TYPE_CHECKING:
     from salpcc.stages.predict.learned.train import Recipe, Rows
@@ -53,16 +52,19 @@ class _Perceptron(nn.Module):
 class RangeNet(_Perceptron):
     """Components of the mixture of :mod:`.mixture` from the features of :mod:`.features`."""
 
-    def __init__(self, width: int, layers: int) -> None:
-        super().__init__([INPUTS, *[width] * layers, 3 * COMPONENTS], (64,), 0.1)
+    def __init__(self, width: int, layers: int, inputs: int, predictors: int) -> None:
+        self.components = predictors + len(SHARED)
+        outputs = (3 * self.components + 3) // 4 * 4
+        super().__init__([inputs, *[width] * layers, outputs], (64,), 0.1)
 
     def bits(self, rows: dict[str, Tensor]) -> Tensor:
         """Mean code length in bits."""
         out = self.outputs(rows["x"], (rows["laser"],))
-        logits = functional.log_softmax(out[:, :COMPONENTS], 1)
-        offset = out[:, COMPONENTS : 2 * COMPONENTS].clamp(-8, 8)
-        inverse = torch.exp(-(out[:, 2 * COMPONENTS :] + 2).clamp(-2, 9))
-        mu = rows["mu"][:, list(range(PREDICTORS)) + list(SHARED)]
+        n = self.components
+        logits = functional.log_softmax(out[:, :n], 1)
+        offset = out[:, n : 2 * n].clamp(-8, 8)
+        inverse = torch.exp(-(out[:, 2 * n : 3 * n] + 2).clamp(-2, 9))
+        mu = rows["mu"][:, [*range(n - len(SHARED)), *SHARED]]
         centre = (rows["y"][:, None] - mu) * inverse - offset
         half = rows["step"][:, None] * 0.5 * inverse
         # log(F(c + h) - F(c - h)) without cancellation
@@ -78,14 +80,14 @@ class RangeNet(_Perceptron):
 class IntensityNet(_Perceptron):
     """Logits of the 101 values from the features of :mod:`.intensity_features`."""
 
-    def __init__(self, width: int) -> None:
-        super().__init__([INTENSITY_INPUTS, width, width, OUTPUTS], (64, VALUES, VALUES), 0.3)
+    def __init__(self, width: int, inputs: int, sides: int) -> None:
+        super().__init__([inputs, width, width, OUTPUTS], (64, *[VALUES + 1] * sides), 0.3)
         self.last_table = nn.Embedding(64, OUTPUTS)
         nn.init.zeros_(self.last_table.weight)
 
     def bits(self, rows: dict[str, Tensor]) -> Tensor:
         """Mean code length in bits; the link is that of ``intensity_model.frequencies``."""
-        index = (rows["laser"], rows["side"][:, 0], rows["side"][:, 1])
+        index = (rows["laser"], *rows["side"].unbind(1))
         out = self.outputs(rows["x"], index) + self.last_table(rows["laser"])
         out = out[:, :VALUES]
         out = out - out.amax(1, keepdim=True).detach()
@@ -113,13 +115,13 @@ def fit(kind: str, rows: Rows, recipe: Recipe, log: Callable[[str], None]) -> nn
     net: RangeNet | IntensityNet
     if kind == "ranges":
         net, steps, batch = (
-            RangeNet(recipe.range_width, recipe.range_layers),
+            RangeNet(recipe.range_width, recipe.range_layers, rows["x"].shape[1], rows["mu"].shape[1]),
             recipe.optimiser_steps,
             recipe.batch,
         )
     else:
         net, steps, batch = (
-            IntensityNet(recipe.intensity_width),
+            IntensityNet(recipe.intensity_width, rows["x"].shape[1], rows["side"].shape[1]),
             recipe.intensity_steps,
             recipe.intensity_batch,
         )

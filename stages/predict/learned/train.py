@@ -8,7 +8,7 @@ rounding the weights afterwards costs under 0.005 bits a point and no retraining
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from salpcc.stages.ingest.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.export import quantize_network
 from salpcc.stages.predict.learned.intensity_model import collect_intensity
 from salpcc.stages.predict.learned.network import Network, save_network
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
 from salpcc.stages.predict.learned.range_model import collect_ranges
 from salpcc.stages.predict.learned.sweep_walk import supports
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 Rows = dict[str, NDArray[Any]]
 Log = Callable[[str], None]
+Pair = tuple[Sweep, Sweep | None]  # and the one before
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class Recipe:
         range_layers: hidden layers of the range network; intensity has two.
         optimiser_steps, batch: of AdamW with a one-cycle learning rate up to ``rate``.
         share: part of the returns used at step 1; ``coarse_share`` at each coarser step.
+        looks_back: whether the networks see the sweep before.
         seed: of the weights, the choice of returns and the batches.
     """
 
@@ -55,30 +58,35 @@ class Recipe:
     rate: float = 3e-3
     share: float = 0.25
     coarse_share: float = 0.08
+    looks_back: bool = False
     seed: int = 0
 
 
 RECIPES = {
     "default": Recipe(),
-    "max": Recipe(128, 3, 96, optimiser_steps=10000, intensity_steps=8000, batch=4096),
+    "max": Recipe(128, 3, 96, optimiser_steps=6000, intensity_steps=6000, batch=4096, looks_back=True),
 }
 STEPS = (5, 10, 20)
 ODD_STEPS = (2, 3, 4, 7, 9, 14, 19, 30, 50)
 
 
-def read_sweeps(root: Path, sensor: SensorModel) -> Iterator[Sweep]:
-    """Read every scan of every source below ``root`` onto its lattice; scans that do not fit are left out."""
+def read_sweeps(root: Path, sensor: SensorModel) -> Iterator[Pair]:
+    """Read every scan of every source below ``root`` onto its lattice, each with the one before, if any.
+
+    Scans that do not fit are left out.
+    """
     for source in SOURCES.values():
         for sequence in source.sequences(root):
-            motion = None
+            before = motion = None
             for reference in source.scans(root, sequence):
                 sweep = scan_to_sweep(source.read(reference, with_labels=False), sensor, motion)
                 motion = sweep.motion
                 if len(sweep.laser):
-                    yield sweep
+                    yield sweep, before
+                before = sweep
 
 
-def collect(sweeps: Iterable[Sweep], sensor: SensorModel, recipe: Recipe) -> tuple[Rows, Rows]:
+def collect(sweeps: Iterable[Pair], sensor: SensorModel, recipe: Recipe) -> tuple[Rows, Rows]:
     """Gather training rows of ranges and of intensities from lossless sweeps.
 
     Raises:
@@ -89,14 +97,15 @@ def collect(sweeps: Iterable[Sweep], sensor: SensorModel, recipe: Recipe) -> tup
     rng = np.random.default_rng(recipe.seed)
     ranges: list[Rows] = []
     values: list[Rows] = []
-    for number, sweep in enumerate(sweeps):
+    for number, (sweep, before) in enumerate(sweeps):
         starts = np.searchsorted(sweep.laser, np.arange(sensor.n_lasers + 1)).astype(np.int64)
         odd = ODD_STEPS[number % len(ODD_STEPS)]
         shares = [(1, recipe.share)] + [(step, recipe.coarse_share) for step in (*STEPS, odd)]
         for step, share in shares:
             keep = rng.random(len(sweep.laser)) < share
             level = (sweep.count // step).astype(np.int32)
-            x, mu, y = collect_ranges(starts, sweep.tick, level, step, sensor, keep)
+            seen = _seen(sweep, before, step, sensor) if recipe.looks_back else None
+            x, mu, y = collect_ranges(starts, sweep.tick, level, step, sensor, keep, seen)
             ranges.append(
                 {"x": x, "mu": mu, "y": y, "step": np.full(len(y), step), "laser": sweep.laser[keep]}
             )
@@ -104,11 +113,19 @@ def collect(sweeps: Iterable[Sweep], sensor: SensorModel, recipe: Recipe) -> tup
         for step, share in ((1, recipe.share / 2), (STEPS[number % 3], recipe.coarse_share / 2)):
             keep = rng.random(len(sweep.laser)) < share
             level = (sweep.count // step).astype(np.int32)
-            x, side = collect_intensity(starts, sweep.tick, level, step, intensity, sensor, keep)
+            seen = _seen(sweep, before, step, sensor) if recipe.looks_back else None
+            x, side = collect_intensity(starts, sweep.tick, level, step, intensity, sensor, keep, seen)
             values.append({"x": x, "side": side, "y": intensity[keep], "laser": sweep.laser[keep]})
     if not ranges:
         raise UsageError("no sweeps to train on")
     return _join(ranges), _join(values)
+
+
+def _seen(sweep: Sweep, before: Sweep | None, step: int, sensor: SensorModel) -> WarpedSweep:
+    """The lossless sweep before, as an archive of that step would have it, seen from a sweep."""
+    if before is not None:
+        before = replace(before, count=(before.count // step).astype(np.int32), step=step)
+    return warp(before, sweep.motion, sensor)
 
 
 def _join(rows: list[Rows]) -> Rows:
@@ -116,7 +133,7 @@ def _join(rows: list[Rows]) -> Rows:
 
 
 def train_coder(
-    sweeps: Iterable[Sweep],
+    sweeps: Iterable[Pair],
     sensor: SensorModel,
     out: Path,
     effort: str = "default",
