@@ -42,7 +42,8 @@ from salpcc.stages.residual_code.payload import (
     pack,
     unpack,
 )
-from salpcc.stages.residual_code.stray_coder import decode_floats, decode_strays, encode_floats, encode_strays
+from salpcc.stages.residual_code.stray_coder import decode_strays, encode_strays, layout_of
+from salpcc.stages.residual_code.value_coder import decode_values, encode_values
 
 Array = NDArray[np.uint8]
 
@@ -92,9 +93,12 @@ def encode_scan(
             streams.append(_corrections(distance, step, reach[which], codes, bits))
     else:
         streams += [b"", b""]
+    layout = layout_of(sweep.stray_points[:, :3], sweep.max_error)
     streams.append(
         _run(
-            lambda out: encode_strays(sweep.stray_index, sweep.stray_points[:, :3], sweep.max_error, out),
+            lambda out: encode_strays(
+                sweep.stray_index, sweep.stray_points[:, :3], sweep.max_error, layout, out
+            ),
             5 * s,
         )
     )
@@ -104,13 +108,13 @@ def encode_scan(
         streams.append(encode_intensity(sweep, sensor))
     elif levels is None:
         flags |= FLOAT_INTENSITY
-        streams.append(_run(lambda out: encode_floats(sweep.intensity, out), n))
+        streams.append(_run(lambda out: encode_values(sweep.intensity, (1, 0), out), n))
     else:
         streams.append(_run(lambda out: values.encode_intensity(sweep, starts, levels, predicted, out), n))
     if intensity_is_field(sweep, levels):
         streams.append(b"")
     else:
-        streams.append(_run(lambda out: encode_floats(sweep.stray_points[:, 3], out), s))
+        streams.append(_run(lambda out: encode_values(sweep.stray_points[:, 3], layout, out), s))
     if sweep.classes is not None and sweep.stray_classes is not None:
         flags |= CLASSES
         returned = _run(
@@ -198,12 +202,12 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     if as_field:
         intensities = np.zeros(n, np.float32)
     elif header.flags & FLOAT_INTENSITY:
-        intensities = checked(decode_floats(n, intensity))
+        intensities = checked(decode_values(n, intensity))
     else:
         intensities = INTENSITY_OF_LEVEL[
             checked(values.decode_intensity(starts, tick, count, header.step, before, intensity))
         ]
-    fourth = np.zeros(s, np.float32) if as_field else checked(decode_floats(s, stray_intensity))
+    fourth = np.zeros(s, np.float32) if as_field else checked(decode_values(s, stray_intensity))
     if s and (places[0] < 0 or places[-1] >= n + s or (np.diff(places) <= 0).any()):
         raise ArchiveError("payload does not decode")
     sweep = Sweep(
