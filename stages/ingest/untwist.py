@@ -138,7 +138,7 @@ def _near_inverse(x: float, y: float, z: float, m: Motion) -> tuple[float, float
     s0 = arctan2(y, x) / TWO_PI
     c = ((y * m[0] - x * m[1]) / (x * x + y * y) - m[5]) * (1.0 / TWO_PI)
     s = s0 / (1.0 - c)
-    qx, qy, qz = _turned_back(x, y, z, s, m)
+    qx, qy, _ = _turned_back(x, y, z, s, m)
     t = (x * qy - y * qx) / (x * qx + y * qy)
     s += (s0 + t * (1.0 - t * t * (1.0 / 3.0)) * (1.0 / TWO_PI) - s) / (1.0 - c)
     qx, qy, _ = _turned_back(x, y, z, s, m)

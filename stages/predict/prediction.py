@@ -7,14 +7,15 @@ from collections.abc import Iterable
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL as INTENSITY_OF_LEVEL
-from salpcc.stages.predict.hundredths import intensity_levels as intensity_levels
+from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.intensity_model import predict_intensity
 from salpcc.stages.predict.learned.models import load_models
 from salpcc.stages.predict.learned.previous_sweep import warp
 from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, count_levels, predict_ranges
 from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.neighbours import laser_table, predict_levels, ring_starts
+
+__all__ = ["INTENSITY_OF_LEVEL", "effective_effort", "intensity_levels", "predict", "predict_sweeps"]
 
 
 def effective_effort(sweep: Sweep, sensor: SensorModel, effort: str) -> str:

@@ -41,13 +41,12 @@ def find_layout(points: NDArray[np.float32], form: int, per: float, step: float,
         return 1, 0
     part = np.ascontiguousarray(points[:_TRIED])
     out = np.empty(16 * len(part) + 4096, np.uint8)
-    best, fewest = (1, 0), np.inf
+    sizes = []
     for layout in candidates:
         moved = move_points(part, layout, form, per, step, tolerance)[0]
-        written = write_points(moved, layout, form, per, step, out)
-        if written < _BETTER * fewest:
-            best, fewest = layout, written
-    return best
+        sizes.append(write_points(moved, layout, form, per, step, out))
+    best = int(np.argmin(sizes))
+    return candidates[best] if sizes[best] < _BETTER * sizes[0] else candidates[0]
 
 
 def _repeats(values: NDArray[np.float64] | NDArray[np.complex128], low: int, high: int) -> int:
@@ -59,4 +58,6 @@ def _repeats(values: NDArray[np.float64] | NDArray[np.complex128], low: int, hig
     size = 1 << int(np.ceil(np.log2(2 * len(values))))
     power = np.abs(np.fft.fft(centred, size)) ** 2
     likeness = np.fft.ifft(power).real[:high] / (len(values) - np.arange(high))
-    return int(low + np.argmax(likeness[low:high]))
+    peak = likeness[low:high]
+    # Every multiple of a period is one, too: the first that is nearly as good.
+    return int(low + np.argmax(peak >= peak.max() - 0.03 * abs(likeness[0])))

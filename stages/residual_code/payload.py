@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
 
-CODEC_VERSION = 1
+CODEC_VERSION = 2
+OLD_VERSIONS = (1,)  # that are still read
 EFFORTS = ("fast", "default", "max")
 STREAMS = (
     "mask",
@@ -69,6 +70,7 @@ class Header:
     content_crc: int
     weights: bytes
     motion: NDArray[np.float64] | None
+    codec: int = CODEC_VERSION
 
 
 def content_crc(sweep: Sweep) -> int:
@@ -140,7 +142,7 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
         raise ArchiveError("payload is damaged (checksum differs)")
     fields = _FIXED.unpack_from(data)
     version, flags, effort, reserved, n_points, returns, strays, step = fields[:8]
-    if version != CODEC_VERSION:
+    if version != CODEC_VERSION and version not in OLD_VERSIONS:
         raise ArchiveError(f"payload has codec version {version}, this tool reads {CODEC_VERSION}")
     position = _FIXED.size
     motion = None
@@ -181,6 +183,7 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
         content_crc=fields[11],
         weights=fields[12],
         motion=motion,
+        codec=version,
     )
     streams = []
     for length in lengths:

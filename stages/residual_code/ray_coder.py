@@ -112,8 +112,8 @@ def code_points(  # type: ignore[no-untyped-def]
 ):
     """Write, read or move points ``(S, 3)`` float32 with their kinds ``(S,)``.
 
-    MOVE puts every point where it would decode to, if that is within ``tolerance`` metres; the others stay and
-    become LOOSE.
+    MOVE puts every point where it would decode to, if that is within ``tolerance`` metres (0: the same bits); the
+    others stay and become LOOSE.
     """
     n = len(points)
     writing = way == WRITE
@@ -255,7 +255,14 @@ def code_points(  # type: ignore[no-untyped-def]
             points[i, 2] = a * dz + c * tz
         if way == MOVE:
             ox, oy, oz = points[i, 0] - source_x, points[i, 1] - source_y, points[i, 2] - source_z
-            if not np.sqrt(ox * ox + oy * oy + oz * oz) <= tolerance:
+            fits = np.sqrt(ox * ox + oy * oy + oz * oz) <= tolerance
+            if tolerance == 0.0:
+                fits = (
+                    _whole(points[i, 0], BITS, per) == _whole(source_x, BITS, per)
+                    and _whole(points[i, 1], BITS, per) == _whole(source_y, BITS, per)
+                    and _whole(points[i, 2], BITS, per) == _whole(source_z, BITS, per)
+                )
+            if not fits:
                 points[i, 0], points[i, 1], points[i, 2] = source_x, source_y, source_z
                 kinds[i] = LOOSE
                 sizes[i] = 0

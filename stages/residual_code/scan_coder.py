@@ -42,7 +42,13 @@ from salpcc.stages.residual_code.payload import (
     pack,
     unpack,
 )
-from salpcc.stages.residual_code.stray_coder import decode_strays, encode_strays, layout_of
+from salpcc.stages.residual_code.stray_coder import (
+    decode_floats,
+    decode_strays,
+    encode_strays,
+    layout_of,
+)
+from salpcc.stages.residual_code.stray_coder_1 import decode_strays_1
 from salpcc.stages.residual_code.value_coder import decode_values, encode_values
 
 Array = NDArray[np.uint8]
@@ -157,6 +163,8 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     """
     header, streams = unpack(data)
     values = models.known(header.effort, header.weights)
+    read_strays = decode_strays_1 if header.codec == 1 else decode_strays
+    read_values = decode_floats if header.codec == 1 else decode_values
     if header.returns > sensor.n_lasers * sensor.ticks_per_turn:
         raise ArchiveError("payload has more returns than the sensor has firings")
     if header.effort != "fast" and not supports(sensor):
@@ -198,16 +206,16 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
                     *float32_boundary(points), header.ulp_reach, models.ulp, ulp
                 )
             )
-    places, points = checked(decode_strays(s, header.max_error, stray))
+    places, points = checked(read_strays(s, header.max_error, stray))
     if as_field:
         intensities = np.zeros(n, np.float32)
     elif header.flags & FLOAT_INTENSITY:
-        intensities = checked(decode_values(n, intensity))
+        intensities = checked(read_values(n, intensity))
     else:
         intensities = INTENSITY_OF_LEVEL[
             checked(values.decode_intensity(starts, tick, count, header.step, before, intensity))
         ]
-    fourth = np.zeros(s, np.float32) if as_field else checked(decode_values(s, stray_intensity))
+    fourth = np.zeros(s, np.float32) if as_field else checked(read_values(s, stray_intensity))
     if s and (places[0] < 0 or places[-1] >= n + s or (np.diff(places) <= 0).any()):
         raise ArchiveError("payload does not decode")
     sweep = Sweep(
