@@ -29,7 +29,7 @@ def coded(path: Path, returns: Returns, sensor: SensorModel) -> int:
 def test_more_training_makes_fewer_bytes(
     make_scan: Callable[..., Scan], returns: Returns, sensor: SensorModel, tmp_path: Path
 ) -> None:
-    sweeps = [scan_to_sweep(make_scan(seed=9, stride=8, motion=None), sensor)]
+    sweeps = [(scan_to_sweep(make_scan(seed=9, stride=8, motion=None), sensor), None)]
     sizes = []
     for steps in (2, 150):
         recipe = Recipe(
