@@ -155,30 +155,18 @@ def localise(
     if json_:
         typer.echo(json.dumps(rows, indent=1))
         return
-    table = Table(title="ICP of consecutive scans", box=SIMPLE_HEAD, title_justify="left")
-    for column in (
-        "sequence",
-        "cloud",
-        "error",
-        "bpp",
-        "movables",
-        "ICP",
-        "pairs",
-        "rotation, deg",
-        "translation, m",
-    ):
-        table.add_column(column)
+    typer.echo("seq cloud       error   bpp movables ICP             pairs  rotation, deg    translation, m")
     for row in rows:
-        spread = [
-            f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_std']:.4f}" for k in ("rotation_deg", "translation_m")
-        ]
         error = "-" if row["max_error"] is None else f"{1e3 * row['max_error']:.1f} mm"
         bits = "-" if row["bpp"] is None else f"{row['bpp']:.2f}"
-        kept = "with" if row["movable"] else "without"
-        table.add_row(
-            row["sequence"], row["cloud"], error, bits, kept, row["method"], str(row["pairs"]), *spread
+        figures = [
+            f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_std']:.4f}" for k in ("rotation_deg", "translation_m")
+        ]
+        typer.echo(
+            f"{row['sequence']:3} {row['cloud']:8} {error:>8} {bits:>5} {'with' if row['movable'] else 'without':8} "
+            f"{row['method']:15} {row['pairs']:5}  {'  '.join(figures)}"
         )
-    Console().print(table)
+    typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
 
 
 def _show(rows: list[dict[str, object]]) -> None:
