@@ -18,7 +18,7 @@ from rich.table import Table
 from salpcc.schemas.errors import UsageError
 from salpcc.stages.mapping.cleaners import CLEANERS as RIVALS
 
-Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE…", help="Archives of one drive, in order")]
+Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE", help="Archives of one drive, in order")]
 Workers = Annotated[int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")]
 Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout")]
@@ -131,7 +131,7 @@ def map_(
 
 def localise(
     archives: Annotated[
-        list[Path], typer.Argument(metavar="ARCHIVE…", help="The same sequences, coded in different ways")
+        list[Path], typer.Argument(metavar="ARCHIVE", help="The same sequences, coded in different ways")
     ],
     against: Annotated[Path, typer.Option(help="Data root: source scans, labels, poses.txt")],
     out: Annotated[Path, typer.Option(help="The record for the report goes here")],
