@@ -47,7 +47,7 @@ def _cells(
         if not 0.0 < r < (LEVEL_LIMIT - 1) * accuracy:  # NaN and Inf are not
             continue
         cell[i] = cell_of(x, y, z)
-        level[i] = max(np.int64(np.floor(r / accuracy + 0.5)), 1)
+        level[i] = max(int(np.floor(r / accuracy + 0.5)), 1)
         reach[i] = r
     return cell, level, reach
 

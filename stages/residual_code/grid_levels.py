@@ -178,7 +178,7 @@ def code_levels(
                 guesses, known, errors, running, row, column, up_row, before, n_before, mean, per, weight
             )  # fmt: skip
             middle = mean[GUESSES]
-            centre = max(np.int64(np.floor(middle + 0.5)), 1)
+            centre = max(int(np.floor(middle + 0.5)), 1)
             expected = spread + 0.5 * apart
             coarse = _bucket(expected, 2.0, _COARSE - 1)
             of_frame = _signed(1.0 / frame[row, column] - middle) if frame[row, column] > 0.0 else 0
