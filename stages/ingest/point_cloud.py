@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.cloud import (
+from salpcc.schemas.cloud import Cloud
+from salpcc.schemas.cloud_layout import (
     MAX_ENVELOPE,
-    Cloud,
     Field,
     Layout,
     LayoutError,

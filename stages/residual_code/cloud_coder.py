@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.cloud import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Cloud, Layout, LayoutError
+from salpcc.schemas.cloud import Cloud
+from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layout, LayoutError
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.residual_code.byte_coder import decode_bytes, encode_bytes
 from salpcc.stages.residual_code.field_coder import Points, decode_field, encode_field

@@ -2,8 +2,7 @@
 
 Every value is predicted from those before it: its left neighbour, the one ``period`` before (the row above,
 or the same laser one firing earlier), or both. Points without a return (*void*) are predicted from void ones
-only. Residuals are modulo ``2 ** width``, so any bits go through. A column of few small values is coded by
-value instead, in the context of the same two neighbours.
+only. Residuals are modulo ``2 ** width``, so any bits go through.
 """
 
 from __future__ import annotations
@@ -38,10 +37,6 @@ def _residual_models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     return new_bits(_SLOPES * 2 * _NODES), new_bits(_SIZES_TOLD**2 * 2 * _NODES)
 
 
-def _symbol_models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    return new_bits(1 << 17), new_bits(1 << 17)
-
-
 @njit(cache=True)
 def _wrap(value: int, width: int) -> int:
     return (value << (64 - width)) >> (64 - width)
@@ -57,7 +52,7 @@ def _size(magnitude: int) -> int:
 
 
 @njit(cache=True)
-def _neighbours(
+def neighbours(
     values: Values, void: Flags, i: int, period: int, last: NDArray[np.int64]
 ) -> tuple[int, int, int, int]:
     """Values to the left, left of that, above, and above left; neighbours of the other kind do not count."""
@@ -97,7 +92,7 @@ def costs(values: Values, void: Flags, period: int, width: int) -> NDArray[np.in
     total = np.zeros(PREDICTORS, np.int64)
     last = np.full((2, 2), -1, np.int64)
     for i in range(len(values)):
-        left, second, above, corner = _neighbours(values, void, i, period, last)
+        left, second, above, corner = neighbours(values, void, i, period, last)
         for p in range(PREDICTORS):
             residual = _wrap(values[i] - _predict(p, left, second, above, corner), width)
             size = _size(abs(residual))
@@ -135,7 +130,7 @@ def _encode_residuals(
     sizes = np.zeros(len(values), np.int64)
     last = np.full((2, 2), -1, np.int64)
     for i in range(len(values)):
-        left, second, above, corner = _neighbours(values, void, i, period, last)
+        left, second, above, corner = neighbours(values, void, i, period, last)
         residual = _wrap(values[i] - _predict(predictor, left, second, above, corner), width)
         f, g = _contexts(sizes, void, i, period, last, _size(abs(left - above) + abs(above - corner)))
         magnitude = abs(residual)
@@ -181,7 +176,7 @@ def _decode_residuals(
     state = start_decoder(data)
     last = np.full((2, 2), -1, np.int64)
     for i in range(len(void)):
-        left, second, above, corner = _neighbours(values, void, i, period, last)
+        left, second, above, corner = neighbours(values, void, i, period, last)
         f, g = _contexts(sizes, void, i, period, last, _size(abs(left - above) + abs(above - corner)))
         size = 0
         magnitude = np.int64(0)
@@ -219,53 +214,6 @@ def _decode_residuals(
     return values, True
 
 
-@njit(cache=True)
-def _encode_symbols(
-    values: Values,
-    void: Flags,
-    period: int,
-    a: NDArray[np.uint16],
-    b: NDArray[np.uint16],
-    out: NDArray[np.uint8],
-) -> int:
-    state = start_encoder()
-    last = np.full((2, 2), -1, np.int64)
-    for i in range(len(values)):
-        left, _, above, _ = _neighbours(values, void, i, period, last)
-        kind = 1 if void[i] else 0
-        f = (kind * 256 + left) * 256
-        g = (kind * 256 + above) * 256
-        node = 1
-        for shift in range(7, -1, -1):
-            bit = (values[i] >> shift) & 1
-            encode_mixed_bit(state, out, a, f + node, b, g + node, bit)
-            node = node * 2 + bit
-        last[kind, 0] = i
-    return finish_encoder(state, out)
-
-
-@njit(cache=True)
-def _decode_symbols(
-    void: Flags, period: int, a: NDArray[np.uint16], b: NDArray[np.uint16], data: NDArray[np.uint8]
-) -> tuple[Values, bool]:
-    values = np.zeros(len(void), np.int64)
-    state = start_decoder(data)
-    last = np.full((2, 2), -1, np.int64)
-    for i in range(len(void)):
-        left, _, above, _ = _neighbours(values, void, i, period, last)
-        kind = 1 if void[i] else 0
-        f = (kind * 256 + left) * 256
-        g = (kind * 256 + above) * 256
-        node = 1
-        for _ in range(8):
-            node = node * 2 + decode_mixed_bit(state, data, a, f + node, b, g + node)
-        if state[3] != 0:
-            return values, False
-        values[i] = node & 255
-        last[kind, 0] = i
-    return values, True
-
-
 def encode_residuals(values: Values, void: Flags, period: int, predictor: int, width: int) -> bytes:
     """Encode values ``(N,)``, signed numbers of ``width`` bits."""
     size = 4 * len(values) + 4096
@@ -283,19 +231,4 @@ def decode_residuals(
     """Inverse of :func:`encode_residuals`: the values, and whether the data made sense."""
     raw = np.frombuffer(bytearray(data), np.uint8)
     values, sound = _decode_residuals(void, period, predictor, width, *_residual_models(), raw)
-    return values, bool(sound)
-
-
-def encode_symbols(values: Values, void: Flags, period: int) -> bytes:
-    """Encode values ``(N,)`` of 0 to 255."""
-    out = np.empty(16 * len(values) + 4096, np.uint8)  # a bit costs 11 at most
-    written = int(_encode_symbols(values, void, period, *_symbol_models(), out))
-    assert written >= 0
-    return out[:written].tobytes()
-
-
-def decode_symbols(void: Flags, period: int, data: bytes) -> tuple[Values, bool]:
-    """Inverse of :func:`encode_symbols`."""
-    raw = np.frombuffer(bytearray(data), np.uint8)
-    values, sound = _decode_symbols(void, period, *_symbol_models(), raw)
     return values, bool(sound)

@@ -17,9 +17,7 @@ from salpcc.stages.residual_code.column_coder import (
     PREDICTORS,
     costs,
     decode_residuals,
-    decode_symbols,
     encode_residuals,
-    encode_symbols,
 )
 from salpcc.stages.residual_code.number_forms import (
     BITS,
@@ -33,6 +31,7 @@ from salpcc.stages.residual_code.number_forms import (
     to_bits,
     to_scale,
 )
+from salpcc.stages.residual_code.symbol_coder import decode_symbols, encode_symbols
 
 CONSTANT, RESIDUALS, SYMBOLS = range(3)
 _RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, period, length

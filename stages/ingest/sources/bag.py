@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from salpcc.schemas.cloud import LayoutError
+from salpcc.schemas.cloud_layout import LayoutError
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.log import Log
 from salpcc.schemas.scan import Scan

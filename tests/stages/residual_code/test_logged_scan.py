@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from salpcc.schemas.cloud import LayoutError
+from salpcc.schemas.cloud_layout import LayoutError
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.log import LogMessage
 from salpcc.schemas.scan import Scan
