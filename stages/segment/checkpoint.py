@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -13,7 +14,7 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from salpcc.schemas.files import atomic
-from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork
+from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork, for_cpu
 from salpcc.stages.segment.weights_file import WeightsError, read_weights
 
 VERSION = 1
@@ -57,7 +58,8 @@ def load_weights(path: Path) -> tuple[SegmentNetwork, dict[str, object]]:
         )
     try:
         state = {name: value.float() for name, value in from_bytes(data).items()}
-        config = NetworkConfig(**{k: tuple(v) if k in _TUPLES else v for k, v in sizes.items()})
+        values: dict[str, Any] = {k: tuple(v) if k in _TUPLES else v for k, v in sizes.items()}
+        config = NetworkConfig(**values)
         network = SegmentNetwork(config)
         missing, unexpected = network.load_state_dict(state, strict=False)
     except (SafetensorError, TypeError, RuntimeError) as error:
@@ -66,7 +68,7 @@ def load_weights(path: Path) -> tuple[SegmentNetwork, dict[str, object]]:
     if lost or unexpected:
         odd = (lost + unexpected)[0]
         raise WeightsError(f"{path}: weights do not fit the network of this version ({odd})")
-    return network.eval().to(memory_format=torch.channels_last), facts
+    return for_cpu(network.eval()), facts
 
 
 @lru_cache(maxsize=2)

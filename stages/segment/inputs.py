@@ -66,7 +66,10 @@ def stack(inputs: Sequence[NetworkInput]) -> tuple[torch.Tensor, PointTensors]:
 
     tensors = PointTensors(
         _stacked([one.points for one in inputs]),
-        *(levels(name) for name in ("centres", "groups", "parents", "weights")),
+        levels("centres"),
+        levels("groups"),
+        levels("parents"),
+        levels("weights"),
         _stacked([s.pixel_parents for s in sets]),
         _stacked([s.pixel_weights for s in sets]),
     )

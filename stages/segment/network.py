@@ -111,6 +111,12 @@ def _level(inputs: int, outputs: int, depth: int) -> nn.Sequential:
     return nn.Sequential(*(MultiKernelFilter(a, b) for a, b in itertools.pairwise(sizes)))
 
 
+def for_cpu(network: SegmentNetwork) -> SegmentNetwork:
+    """Lay the weights out as a CPU convolves fastest (channels last); GPUs do not mind."""
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network
+
+
 def fold_columns(image: Tensor, fold: int) -> Tensor:
     """Turn ``(B, C, H, W)`` into ``(B, C fold, H, W / fold)``."""
     b, c, h, w = image.shape

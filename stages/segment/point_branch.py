@@ -30,6 +30,18 @@ class PointTensors(NamedTuple):
     pixel_parents: Tensor
     pixel_weights: Tensor
 
+    def to(self, device: str) -> PointTensors:
+        """Return the same on a device."""
+        return PointTensors(
+            self.features.to(device),
+            [one.to(device) for one in self.centres],
+            [one.to(device) for one in self.groups],
+            [one.to(device) for one in self.parents],
+            [one.to(device) for one in self.weights],
+            self.pixel_parents.to(device),
+            self.pixel_weights.to(device),
+        )
+
 
 def gather(rows: Tensor, index: Tensor) -> Tensor:
     """Take rows ``(B, N, C)`` at ``index`` ``(B, ...)``: ``(B, ..., C)``."""

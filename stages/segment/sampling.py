@@ -63,7 +63,7 @@ def farthest_points(points: F32, count: int) -> NDArray[np.int64]:
             dy = y[i] - py
             dz = z[i] - pz
             distance[i] = min(distance[i], dx * dx + dy * dy + dz * dz)
-        last = np.argmax(distance)
+        last = int(np.argmax(distance))
         chosen[k] = last
     return chosen
 
@@ -71,8 +71,9 @@ def farthest_points(points: F32, count: int) -> NDArray[np.int64]:
 def interpolate(points: F32, queries: F32) -> tuple[I64, F32]:
     """Return the three nearest of ``points`` to each query ``(Q, 3)`` and weights by inverse distance."""
     distance, nearest = cKDTree(points).query(queries, k=3)
-    inverse = 1.0 / (distance + _FLOOR)
-    return nearest.astype(np.int64), (inverse / inverse.sum(axis=1, keepdims=True)).astype(np.float32)
+    inverse = 1.0 / (np.asarray(distance) + _FLOOR)
+    weights = (inverse / inverse.sum(axis=1, keepdims=True)).astype(np.float32)
+    return np.asarray(nearest, np.int64), weights
 
 
 def sample(points: F32, queries: F32, count: int, rng: np.random.Generator | None = None) -> PointSets:
@@ -96,7 +97,7 @@ def sample(points: F32, queries: F32, count: int, rng: np.random.Generator | Non
     for level in range(LEVELS):
         chosen = order[: count // SHRINK**level]
         here = taken[chosen]
-        groups.append(cKDTree(before).query(here, k=GROUP)[1].astype(np.int64))
+        groups.append(np.asarray(cKDTree(before).query(here, k=GROUP)[1], np.int64))
         if level:
             up = interpolate(here, before)
             parents.append(up[0])

@@ -65,7 +65,7 @@ def segment_scan(network: SegmentNetwork, points: F32, intensity: F32, device: s
     features, sets = stack([network_input(image.planes, config.fold, config.n_points, circular=True)])
     features, sets = _with_seam(features, sets, config.fold)
     with torch.inference_mode(), _one_thread():
-        logits = network(features.to(device), _to(sets, device))[..., SEAM:-SEAM]
+        logits = network(features.to(device), sets.to(device))[..., SEAM:-SEAM]
         scores = as_in_streets(torch.softmax(logits[0].float(), 0).cpu().numpy())
     groups = np.stack([scores[members - 1].sum(axis=0) for members in _MEMBERS])
     best = np.stack([members[scores[members - 1].argmax(axis=0)] for members in _MEMBERS])
@@ -98,10 +98,4 @@ def _with_seam(features: torch.Tensor, sets: PointTensors, fold: int) -> tuple[t
     pixels = (torch.arange(height)[:, None] * (width // fold) + folded).ravel()
     return features[..., columns], sets._replace(
         pixel_parents=sets.pixel_parents[:, pixels], pixel_weights=sets.pixel_weights[:, pixels]
-    )
-
-
-def _to(sets: PointTensors, device: str) -> PointTensors:
-    return PointTensors(
-        *([one.to(device) for one in part] if isinstance(part, list) else part.to(device) for part in sets)
     )

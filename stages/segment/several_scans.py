@@ -53,7 +53,7 @@ def pose_between(steps: Sequence[F64 | None], start: int, end: int) -> F64 | Non
     """Chain the steps of :func:`relative_poses`: the ``(4, 4)`` that carries scan ``start`` into scan ``end``."""
     if end < start:
         back = pose_between(steps, end, start)
-        return None if back is None else np.linalg.inv(back)
+        return None if back is None else np.linalg.inv(back).astype(np.float64)
     pose = np.eye(4)
     for step in steps[start + 1 : end + 1]:
         if step is None:

@@ -26,8 +26,8 @@ def run(table: pa.Table, config: RunConfig) -> pa.Table:
     for labelled in label_gop(table_to_sweeps(table), sensor, config):
         task = labelled if config.keep_movable else drop_movable(labelled, sensor)
         dropped.append(None if config.keep_movable else dropped_classes(labelled, sensor))
-        exact = config.max_error is None or config.profile == "paper"
-        sweeps.append(task if exact else quantise(task, sensor, config.max_error))
+        bound = None if config.profile == "paper" else config.max_error
+        sweeps.append(task if bound is None else quantise(task, sensor, bound))
     tasks = sweeps_to_table(sweeps, dropped)
     return to_grid(tasks, sensor, config) if config.profile == "paper" else tasks
 

@@ -17,8 +17,7 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.segment.checkpoint import save_weights
 from salpcc.stages.segment.class_shares import training_weights
-from salpcc.stages.segment.network import WIDTHS, SegmentNetwork
-from salpcc.stages.segment.point_branch import PointTensors
+from salpcc.stages.segment.network import WIDTHS, SegmentNetwork, for_cpu
 from salpcc.stages.segment.training.labelled import sequence_of
 from salpcc.stages.segment.training.losses import segmentation_loss
 from salpcc.stages.segment.training.samples import Batch, SampleConfig, Samples, loader
@@ -67,7 +66,7 @@ class Trainer:
         self.refs = list(refs)
         self.device = device
         self.step = 0
-        self.network = SegmentNetwork(WIDTHS[recipe.width]).to(device, memory_format=torch.channels_last)
+        self.network = for_cpu(SegmentNetwork(WIDTHS[recipe.width])).to(device)
         self.average = {k: v.detach().clone() for k, v in self.network.state_dict().items()}
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), recipe.rate, recipe.betas, weight_decay=recipe.decay
@@ -87,14 +86,8 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate()
         self.network.train()
-        sets = PointTensors(
-            *(
-                [t.to(self.device) for t in p] if isinstance(p, list) else p.to(self.device)
-                for p in batch.sets
-            )
-        )
         with torch.autocast(self.device, torch.bfloat16):
-            logits = self.network(batch.features.to(self.device), sets)
+            logits = self.network(batch.features.to(self.device), batch.sets.to(self.device))
         loss = segmentation_loss(logits, batch.targets.to(self.device), self.weights)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -111,7 +104,7 @@ class Trainer:
         """Return a network with the averaged weights, ready to label."""
         network = SegmentNetwork(self.network.config)
         network.load_state_dict(self.average)
-        return network.eval().to(self.device, memory_format=torch.channels_last)
+        return for_cpu(network.eval()).to(self.device)
 
     def save(self, path: Path) -> None:
         """Write what :meth:`resume` needs."""

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.segment.inputs import network_input, stack
+from salpcc.stages.segment.inputs import NetworkInput, network_input, stack
 from salpcc.stages.segment.network import NetworkConfig
 from salpcc.stages.segment.point_branch import PointTensors
 from salpcc.stages.segment.range_image import COLUMNS, RANGE
@@ -93,7 +93,8 @@ class Samples(IterableDataset[Batch]):
 
     def draw(self, rng: np.random.Generator) -> Batch:
         """Draw one batch."""
-        inputs, targets = [], []
+        inputs: list[NetworkInput] = []
+        targets = []
         points = self.network.n_points * self.config.width // COLUMNS
         while len(inputs) < self.batch:
             crop = self.crop(rng)
