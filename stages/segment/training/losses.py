@@ -19,7 +19,7 @@ _GROUP_OF_OUTPUT = torch.tensor(GROUP_OF_CLASS[1 : N_CLASSES + 1].astype("int64"
 def group_logits(logits: Tensor) -> Tensor:
     """Sum classes up to groups, in the log domain: ``(N, 19)`` to ``(N, 3)``."""
     members = [
-        (group == _GROUP_OF_OUTPUT).nonzero().ravel().to(logits.device) for group in range(len(GROUPS))
+        torch.eq(_GROUP_OF_OUTPUT, group).nonzero().ravel().to(logits.device) for group in range(len(GROUPS))
     ]
     return torch.stack([torch.logsumexp(logits[:, member], 1) for member in members], 1)
 
