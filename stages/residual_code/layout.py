@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.ray_coder import Layout, move_points, write_points
+from salpcc.stages.residual_code.ray_coder import ALONG, Layout, move_points, write_points
 
 _FEW = 500
 _TRIED = 32768
@@ -37,6 +37,8 @@ def find_layout(points: NDArray[np.float32], form: int, per: float, step: float,
     lag = _repeats(x / ground + 1j * y / ground, *_COLUMNS)
     if lag:
         candidates.append((1, lag))
+    if form != ALONG:  # lanes of points that were moved would not be quite the same
+        candidates.append((0, 1))
     if len(candidates) == 1:
         return 1, 0
     part = np.ascontiguousarray(points[:_TRIED])

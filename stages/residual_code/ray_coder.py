@@ -2,7 +2,8 @@
 
 Two distances in the list say which points those are: ``left`` points back the same laser fired before, ``up`` points
 back is its neighbour in elevation, and both together the neighbour's last one. A cloud that lists firings
-(32 lasers each) has (32, 1), an organised one of 1024 columns (1, 1024), one that lists rings (1, 0).
+(32 lasers each) has (32, 1), an organised one of 1024 columns (1, 1024), one that lists rings (1, 0). Where points are missing
+from firings no distance holds: with left 0 every point's laser, its *lane*, is coded, too, and the neighbour is the point before.
 
 The ray is the left point turned by as much as the neighbour turned; the distance along it is guessed in 1/r from the
 left, upper and upper left points. What is coded is the difference from the guess, in one of three forms:
@@ -20,6 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.residual_code.lanes import find_lanes
 from salpcc.stages.residual_code.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.residual_code.residual_bits import (
     PER_CONTEXT,
@@ -45,12 +47,17 @@ F32 = NDArray[np.float32]
 Kinds = NDArray[np.uint8]
 Layout = tuple[int, int]  # left, up
 Models = tuple[
-    NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16]
+    NDArray[np.uint16],
+    NDArray[np.uint16],
+    NDArray[np.uint16],
+    NDArray[np.uint16],
+    NDArray[np.uint16],
+    NDArray[np.uint16],
 ]
 
 
 def new_models() -> Models:
-    """Return fresh contexts: of kinds, of the number along the ray (two), of those across it (two)."""
+    """Return fresh contexts: of kinds, of the number along the ray (two), of those across it (two), of lanes."""
     pairs = _SIZES * _SIZES * PER_CONTEXT
     return (
         new_bits(64 * 4),
@@ -58,6 +65,7 @@ def new_models() -> Models:
         new_bits(pairs),
         new_bits(2 * pairs),
         new_bits(2 * 16 * 8 * PER_CONTEXT),
+        new_bits(256 * 256),
     )
 
 
@@ -108,7 +116,7 @@ def _ray(points, place, before, upper, upper_left):  # type: ignore[no-untyped-d
 
 @njit(cache=True, error_model="numpy")
 def code_points(  # type: ignore[no-untyped-def]
-    way, points, kinds, left, up, form, per, step, tolerance, models, state, data
+    way, points, kinds, lanes, left, up, form, per, step, tolerance, models, state, data
 ):
     """Write, read or move points ``(S, 3)`` float32 with their kinds ``(S,)``.
 
@@ -117,18 +125,18 @@ def code_points(  # type: ignore[no-untyped-def]
     """
     n = len(points)
     writing = way == WRITE
-    of_kind, of_spread, of_sizes, of_across, of_place = models
+    of_kind, of_spread, of_sizes, of_across, of_place, of_lane = models
     inverse = np.zeros(n, np.float32)
     errors = np.zeros((n, PREDICTORS), np.uint16)
     sizes = np.zeros((n, 3), np.uint8)
-    last = np.full(left, -1)  # of each laser, as far as the list goes round regularly
-    before_last = np.full(left, -1)
+    last = np.full(left or 256, -1)  # of each laser, as far as the list goes round regularly
+    before_last = np.full(left or 256, -1)
     guess = np.zeros(PREDICTORS)
     numbers = np.zeros(3, np.int64)
-    recent = -1
+    recent, recent_lane = -1, 0
     for i in range(n):
         k1 = np.int64(kinds[i - 1]) if i >= 1 else 0
-        k2 = np.int64(kinds[i - left]) if i >= left else 0
+        k2 = np.int64(kinds[i - left]) if left > 0 and i >= left else 0
         k3 = np.int64(kinds[i - up]) if up > 0 and i >= up else 0
         kind = np.int64(kinds[i])
         if way != MOVE:
@@ -159,11 +167,26 @@ def code_points(  # type: ignore[no-untyped-def]
             np.float64(points[i, 1]),
             np.float64(points[i, 2]),
         )
-        place, before = last[i % left], before_last[i % left]
+        if left > 0:
+            lane = i % left
+        else:
+            lane = np.int64(lanes[i])
+            if way != MOVE:
+                node = 1
+                for b in range(7, -1, -1):
+                    c = recent_lane * 256 + node
+                    node = node << 1 | code_bit(writing, state, data, of_lane, c, of_lane, c, (lane >> b) & 1)
+                lane = node & 255
+                lanes[i] = lane
+        place, before = last[lane], before_last[lane]
         if place < 0:
             place, before = recent, -1
         upper = i - up if up > 0 and i >= up and inverse[i - up] > 0.0 else -1
-        upper_left = place - up if upper >= 0 and place >= up and inverse[place - up] > 0.0 else -1
+        upper_left = (
+            place - up if left > 0 and upper >= 0 and place >= up and inverse[place - up] > 0.0 else -1
+        )
+        if left == 0 and recent >= 0 and recent_lane != lane:
+            upper, upper_left = recent, before_last[recent_lane]
         if place < 0:
             dx, dy, dz = 1.0, 0.0, 0.0
             guess[:] = 0.1
@@ -274,35 +297,38 @@ def code_points(  # type: ignore[no-untyped-def]
         inverse[i] = 1.0 / r
         for p in range(PREDICTORS):
             errors[i, p] = np.uint16(min(abs(guess[p] * r - 1.0), 1.0) * 65535.0)
-        before_last[i % left], last[i % left] = last[i % left], i
-        recent = i
+        before_last[lane], last[lane] = last[lane], i
+        recent, recent_lane = i, lane
 
 
 def move_points(
     points: F32, layout: Layout, form: int, per: float, step: float, tolerance: float
-) -> tuple[F32, Kinds]:
-    """Return where points ``(S, 3)`` decode to, at most ``tolerance`` metres away, and their kinds."""
+) -> tuple[F32, Kinds, Kinds]:
+    """Return where points ``(S, 3)`` decode to, at most ``tolerance`` metres away, their kinds and lanes."""
     bits = np.ascontiguousarray(points).view(np.int32)
     with np.errstate(invalid="ignore"):
         kinds = np.where((np.abs(points) < _FAR).all(axis=1), NORMAL, LOOSE).astype(np.uint8)
     kinds[(bits == 0).all(axis=1)] = ZERO
     kinds[(bits == _NAN_BITS).all(axis=1)] = NAN
     moved = points.copy()
+    lanes = find_lanes(points) if layout[0] == 0 else np.zeros(1, np.uint8)
     unread = np.zeros(1, np.uint8)
     code_points(
-        MOVE, moved, kinds, *layout, form, float(per), float(step), float(tolerance),
+        MOVE, moved, kinds, lanes, *layout, form, float(per), float(step), float(tolerance),
         new_models(), start_decoder(unread), unread,
     )  # fmt: skip
-    return moved, kinds
+    return moved, kinds, lanes
 
 
 def write_points(
     points: F32, layout: Layout, form: int, per: float, step: float, out: NDArray[np.uint8]
 ) -> int:
     """Write points exactly; return the bytes written to ``out``, -1 if full."""
-    moved, kinds = move_points(points, layout, form, per, step, 0.0)
+    moved, kinds, lanes = move_points(points, layout, form, per, step, 0.0)
     state = start_encoder()
-    code_points(WRITE, moved, kinds, *layout, form, float(per), float(step), 0.0, new_models(), state, out)
+    code_points(
+        WRITE, moved, kinds, lanes, *layout, form, float(per), float(step), 0.0, new_models(), state, out
+    )
     return int(finish_encoder(state, out))
 
 
@@ -311,6 +337,9 @@ def read_points(
 ) -> tuple[F32, bool]:
     """Inverse of :func:`write_points`: points ``(n, 3)`` and whether the data sufficed."""
     points, kinds = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8)
+    lanes = np.zeros(n, np.uint8)
     state = start_decoder(data)
-    code_points(READ, points, kinds, *layout, form, float(per), float(step), 0.0, new_models(), state, data)
+    code_points(
+        READ, points, kinds, lanes, *layout, form, float(per), float(step), 0.0, new_models(), state, data
+    )
     return points, bool(state[3] == 0)

@@ -26,6 +26,7 @@ from salpcc.stages.residual_code.ray_coder import (
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
+_HOPELESS = 8  # bytes a point
 
 
 def ray_step(max_error: float) -> float:
@@ -82,6 +83,9 @@ def encode_strays(
     out[: _HEAD.size] = np.frombuffer(_HEAD.pack(first, form, *layout, per), np.uint8)
     begin = _HEAD.size + first
     written = write_points(points, layout, form, per, step, out[begin:])
+    if form == ALONG and written > _HOPELESS * len(points):  # points that were moved by another layout
+        out[: _HEAD.size] = np.frombuffer(_HEAD.pack(first, BITS, *layout, per), np.uint8)
+        written = write_points(points, layout, BITS, per, 0.0, out[begin:])
     return written + begin if written >= 0 else -1
 
 
@@ -95,7 +99,7 @@ def decode_strays(
     first, form, left, up, per = _HEAD.unpack(data[: _HEAD.size].tobytes())
     begin = _HEAD.size + first
     step = ray_step(max_error)
-    if begin > len(data) or form > BITS or left == 0 or per == 0 or (form == ALONG) != (step > 0.0):
+    if begin > len(data) or form > BITS or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
     places = np.cumsum(rows[:, 0] + 1) - 1

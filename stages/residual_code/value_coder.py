@@ -59,15 +59,16 @@ def _models():  # type: ignore[no-untyped-def]
 def encode_values(values: NDArray[np.float32], layout: Layout, out: NDArray[np.uint8]) -> int:
     """Encode float32 values ``(S,)`` exactly; return the bytes written to ``out``, -1 if full."""
     values = np.ascontiguousarray(values)
+    left, up = max(layout[0], 1), layout[1]
     for place, unit in enumerate(UNITS):
         with np.errstate(invalid="ignore"):
             whole = np.rint(np.clip(np.nan_to_num(values.astype(np.float64) * unit), 0, 65535)).astype(
                 np.int64
             )
         if ((whole / unit).astype(np.float32).view(np.int32) == values.view(np.int32)).all():
-            out[: _HEAD.size] = np.frombuffer(_HEAD.pack(place + 1, *layout), np.uint8)
+            out[: _HEAD.size] = np.frombuffer(_HEAD.pack(place + 1, left, up), np.uint8)
             state = start_encoder()
-            code_values(True, whole, *layout, _models(), state, out[_HEAD.size :])
+            code_values(True, whole, left, up, _models(), state, out[_HEAD.size :])
             written = int(finish_encoder(state, out[_HEAD.size :]))
             return written + _HEAD.size if written >= 0 else -1
     out[0] = 0

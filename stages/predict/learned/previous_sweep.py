@@ -154,7 +154,7 @@ def warp(before: Sweep | None, motion: NDArray[np.float64] | None, sensor: Senso
     if before is None or before.motion is None or motion is None:
         empty = np.zeros((4, sensor.n_lasers, 2 * PAD), np.float32)
         return WarpedSweep(np.zeros(sensor.n_lasers, np.int64), *empty)
-    middles = before.count * float(before.step) + (before.step - 1) / 2
+    middles = before.count.astype(np.float64) * before.step + (before.step - 1) / 2
     values = intensity_levels(before.intensity)
     if values is None:
         values = np.full(len(before.laser), UNKNOWN_INTENSITY, np.uint8)

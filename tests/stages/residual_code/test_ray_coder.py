@@ -52,6 +52,25 @@ def test_finds_the_lasers(max_error: float, firings: bool) -> None:
         assert 8 * size / len(points) < 45.0
 
 
+def test_firings_with_gaps() -> None:
+    """Where no distance in the list holds, the lanes are coded."""
+    points = street(32, 600).transpose(1, 0, 2).reshape(-1, 3)
+    points = points[np.random.default_rng(0).random(len(points)) < 0.7].copy()
+    decoded, _ = round_trip(points, 0.0)
+    assert decoded.tobytes() == points.tobytes()
+    assert layout_of(points, 0.0) == (0, 1)
+
+
+def test_points_moved_by_chance_still_fit() -> None:
+    """Points that no layout reproduces within their bound are coded by their bits."""
+    points = np.random.default_rng(0).normal(0, 20, (3000, 3)).astype(np.float32)
+    places = np.arange(len(points))
+    out = np.empty(40 * len(points), np.uint8)
+    size = encode_strays(places, points, 0.01, (1, 0), out)
+    assert decode_strays(len(points), 0.01, out[:size].copy())[1].tobytes() == points.tobytes()
+    assert size < 13 * len(points)
+
+
 def test_millimetres_are_whole_numbers() -> None:
     points = (np.rint(street(16, 300) * 1000.0) / 1000.0).astype(np.float32).reshape(-1, 3)
     _, size = round_trip(points, 0.0)
@@ -92,12 +111,13 @@ def test_any_bytes_end(data: bytes, n: int) -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 100.0, 255.0, 3.0])
-def test_values(unit: float) -> None:
+@pytest.mark.parametrize("layout", [(1, 0), (0, 1), (32, 1)])
+def test_values(unit: float, layout: tuple[int, int]) -> None:
     rng = np.random.default_rng(1)
     values = (np.repeat(rng.integers(0, 300, 200), 5) / unit).astype(np.float32)
     values[7] = 0.0
     out = np.empty(8000, np.uint8)
-    size = encode_values(values, (1, 0), out)
+    size = encode_values(values, layout, out)
     decoded, sound = decode_values(len(values), out[:size].copy())
     assert sound
     assert decoded.tobytes() == values.tobytes()
