@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from typing import BinaryIO
 
@@ -15,6 +15,7 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Chunk
 
 MAX_RECORD = 1 << 28  # bytes of a record, of a chunk compressed or not: two point clouds of the largest kind
+_PIECE = 1 << 20
 HEAD = struct.Struct("<BQ")
 # What a damaged record makes of itself when it is parsed.
 PARSE_ERRORS = (
@@ -87,9 +88,11 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
         raise ValueError(f"a chunk claims {size} bytes, more than {MAX_RECORD} are not read")
     if compression == "zstd":
         reader = zstandard.ZstdDecompressor(max_window_size=MAX_RECORD).stream_reader(data)
-        plain = reader.read(size + 1)
+        plain = _gather(reader.read, size)
     elif compression == "lz4":
-        plain = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
+        frame = lz4.frame.LZ4FrameDecompressor()
+        given = iter([data])
+        plain = _gather(lambda most: b"" if frame.eof else frame.decompress(next(given, b""), most), size)
     elif compression == "":
         plain = data
     else:
@@ -97,6 +100,17 @@ def decompress(compression: str, data: bytes, size: int) -> bytes:
     if len(plain) != size:
         raise ValueError(f"a chunk gives other than its {size} bytes")
     return plain
+
+
+def _gather(read: Callable[[int], bytes], size: int) -> bytes:
+    """Read piece by piece up to one byte more than ``size``: what is claimed is not allocated before it comes."""
+    plain = bytearray()
+    while len(plain) <= size:
+        piece = read(min(size + 1 - len(plain), _PIECE))
+        if not piece:
+            break
+        plain += piece
+    return bytes(plain)
 
 
 def compress(data: bytes) -> bytes:

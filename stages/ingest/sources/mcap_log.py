@@ -6,15 +6,15 @@ come through. Works on files without an index or without chunks, too.
 
 from __future__ import annotations
 
+import os
+import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, Message, Schema, Statistics
 
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.log import LogChannel, LogMessage
@@ -29,6 +29,7 @@ from salpcc.schemas.mcap_chunks import (
 )
 
 _MAGIC = b"\x89MCAP0\r\n"
+_FOOTER = struct.Struct("<BQQQI")
 _OF_DATA = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
 
@@ -61,16 +62,23 @@ class McapLog:
         """Read the channels from the end of a file, if it tells all of them there."""
         try:
             with open(self.files[number], "rb") as file:
-                summary = SeekingReader(file, record_size_limit=MAX_RECORD).get_summary()
-            if summary is None or summary.statistics is None:
+                end = file.seek(0, os.SEEK_END) - _FOOTER.size - len(_MAGIC)
+                file.seek(max(end, 0))
+                opcode, length, start, *_ = _FOOTER.unpack(file.read(_FOOTER.size))
+                if (opcode, length) != (Opcode.FOOTER, 20) or not 0 < start <= end <= start + MAX_RECORD:
+                    return False
+                file.seek(start)
+                found = list(records(file.read(end - start)))
+            told = [Statistics.read(stream(data)) for op, _, data in found if op == Opcode.STATISTICS]
+            channels = [Channel.read(stream(data)) for op, _, data in found if op == Opcode.CHANNEL]
+            if not told or told[0].channel_count != len(channels):
                 return False
-            if summary.statistics.channel_count != len(summary.channels):
-                return False
-            self._schemas[number].update(summary.schemas)
-            for channel in summary.channels.values():
+            for schema in (Schema.read(stream(data)) for op, _, data in found if op == Opcode.SCHEMA):
+                self._schemas[number][schema.id] = schema
+            for channel in channels:
                 self._add(number, channel)
             return True
-        except (OSError, McapError, *PARSE_ERRORS):
+        except (OSError, *PARSE_ERRORS):
             return False  # the walk will say what is wrong
 
     def message(self, topic: str, time: int, at: tuple[int, ...]) -> LogMessage:
