@@ -31,12 +31,8 @@ def find_layout(points: NDArray[np.float32], form: int, per: float, step: float,
         x, y, z = np.nan_to_num(points[:_LONGEST].astype(np.float64), posinf=0.0, neginf=0.0).T
         x, y, z = (np.clip(c, -1e6, 1e6) for c in (x, y, z))
         ground = np.maximum(np.hypot(x, y), 1e-9)
-    lag = _repeats(np.clip(z / ground, -2, 2), *_LASERS)
-    if lag:
-        candidates.append((lag, 1))
-    lag = _repeats(x / ground + 1j * y / ground, *_COLUMNS)
-    if lag:
-        candidates.append((1, lag))
+    candidates += [(lag, 1) for lag in _repeats(np.clip(z / ground, -2, 2), *_LASERS)]
+    candidates += [(1, lag) for lag in _repeats(x / ground + 1j * y / ground, *_COLUMNS)]
     if form != ALONG:  # lanes of points that were moved would not be quite the same
         candidates.append((0, 1))
     if len(candidates) == 1:
@@ -51,15 +47,19 @@ def find_layout(points: NDArray[np.float32], form: int, per: float, step: float,
     return candidates[best] if sizes[best] < _BETTER * sizes[0] else candidates[0]
 
 
-def _repeats(values: NDArray[np.float64] | NDArray[np.complex128], low: int, high: int) -> int:
-    """Lag in [low, high) at which a series is most like itself; 0 where it is too short."""
+def _repeats(values: NDArray[np.float64] | NDArray[np.complex128], low: int, high: int) -> list[int]:
+    """Lag in [low, high) at which a series is most like itself, and the part of it that is nearly as good; none if it is short."""
     high = min(high, len(values) // 3)
     if high <= low:
-        return 0
+        return []
     centred = values - values.mean()
     size = 1 << int(np.ceil(np.log2(2 * len(values))))
     power = np.abs(np.fft.fft(centred, size)) ** 2
     likeness = np.fft.ifft(power).real[:high] / (len(values) - np.arange(high))
-    peak = likeness[low:high]
-    # Every multiple of a period is one, too: the first that is nearly as good.
-    return int(low + np.argmax(peak >= peak.max() - 0.03 * abs(likeness[0])))
+    best = int(low + np.argmax(likeness[low:high]))
+    # Every multiple of a period is one, too: the smallest part of the best lag that is nearly as good.
+    for parts in range(8, 1, -1):
+        near = np.arange(max(best // parts - 2, low), min(best // parts + 4, high))
+        if len(near) and likeness[near].max() >= likeness[best] - 0.03 * abs(likeness[0]):
+            return [best, int(near[np.argmax(likeness[near])])]
+    return [best]
