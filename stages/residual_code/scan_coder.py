@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -42,6 +43,7 @@ from salpcc.stages.residual_code.payload import (
     pack,
     unpack,
 )
+from salpcc.stages.residual_code.ray_coder import Layout
 from salpcc.stages.residual_code.stray_coder import (
     decode_floats,
     decode_strays,
@@ -52,6 +54,7 @@ from salpcc.stages.residual_code.stray_coder_1 import decode_strays_1
 from salpcc.stages.residual_code.value_coder import decode_values, encode_values
 
 Array = NDArray[np.uint8]
+_LENGTH = struct.Struct("<I")
 
 
 def _run(encode: Callable[[Array], int], values: int) -> bytes:
@@ -126,7 +129,7 @@ def encode_scan(
         returned = _run(
             lambda out: class_coder.encode_classes(starts, tick, sweep.classes, models.classes, out), n
         )
-        strays = encode_stray_classes(sweep) if sweep.cloud else sweep.stray_classes.tobytes()
+        strays = encode_stray_classes(sweep) if sweep.cloud else _plain_classes(sweep.stray_classes, layout)
         streams.append(strays + returned)
     else:
         streams.append(b"")
@@ -153,6 +156,24 @@ def _corrections(
     return _run(
         lambda out: correction_coder.encode_corrections(distance, step, reach, codes, bits, out), len(codes)
     )
+
+
+def _plain_classes(classes: Array, layout: Layout) -> bytes:
+    """Classes of strays: length, values. Nothing without strays."""
+    if not len(classes):
+        return b""
+    stream = _run(lambda out: encode_values(classes.astype(np.float32), layout, out), len(classes))
+    return _LENGTH.pack(len(stream)) + stream
+
+
+def _read_plain_classes(n: int, data: Array) -> tuple[Array, int]:
+    """Inverse of :func:`_plain_classes`: the classes, none where the data do not hold them, and the bytes that they took."""
+    if n == 0 or len(data) < _LENGTH.size:
+        return np.zeros(0, np.uint8), 0
+    end = _LENGTH.size + _LENGTH.unpack(data[: _LENGTH.size].tobytes())[0]
+    values, sound = decode_values(n, data[_LENGTH.size : end].copy())
+    whole = sound and end <= len(data) and bool((values >= 0).all() and (values <= 255).all())
+    return values.astype(np.uint8) if whole else np.zeros(0, np.uint8), end
 
 
 def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
@@ -228,10 +249,12 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     if header.flags & CLASSES:
         if header.flags & CLOUD:
             stray_labels, used = decode_stray_classes(sweep, streams[7])
-        elif len(classes) < s:
-            raise ArchiveError("payload does not decode")
-        else:
+        elif header.codec == 1:
             stray_labels, used = classes[:s].copy(), s
+        else:
+            stray_labels, used = _read_plain_classes(s, classes)
+        if len(stray_labels) < s:
+            raise ArchiveError("payload does not decode")
         labels = checked(class_coder.decode_classes(starts, tick, models.classes, classes[used:]))
         sweep = replace(sweep, classes=labels, stray_classes=stray_labels)
     if content_crc(sweep) != header.content_crc:
