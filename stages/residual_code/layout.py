@@ -8,7 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.ray_coder import ALONG, Layout, move_points, write_points
+from salpcc.stages.residual_code.ray_coder import Layout
+from salpcc.stages.residual_code.ray_forms import ALONG
+from salpcc.stages.residual_code.ray_stream import move_points, write_points
 
 _FEW = 500
 _TRIED = 32768
@@ -21,7 +23,7 @@ _BETTER = 0.98  # a layout that saves less is chance
 def find_layout(points: NDArray[np.float32], form: int, per: float, step: float, tolerance: float) -> Layout:
     """Return (left, up) of the points ``(S, 3)`` that codes them in the fewest bytes, of a few likely ones.
 
-    ``tolerance`` as for :func:`ray_coder.move_points`. Points that were moved once by a layout come out best by the same, as
+    ``tolerance`` as for :func:`ray_stream.move_points`. Points that were moved once by a layout come out best by the same, as
     all others would have to leave them loose; this is why the part that is tried stands at the beginning.
     """
     if len(points) < _FEW:

@@ -21,8 +21,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.lanes import find_lanes
-from salpcc.stages.residual_code.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
+from salpcc.stages.residual_code.range_coder import new_bits
+from salpcc.stages.residual_code.ray_forms import (
+    ALONG,
+    BITS,
+    FAR,
+    GRID,
+    SPREADS,
+    bucket_of,
+    coordinate_of,
+    ray_of,
+    whole_of,
+)
 from salpcc.stages.residual_code.residual_bits import (
     PER_CONTEXT,
     SIZES,
@@ -32,16 +42,13 @@ from salpcc.stages.residual_code.residual_bits import (
     size_of,
 )
 
-ALONG, GRID, BITS = 0, 1, 2
 NORMAL, ZERO, NAN, LOOSE = 0, 1, 2, 3
 WRITE, READ, MOVE = 0, 1, 2
 PREDICTORS = 4
-_SPREADS = 64
 _SIZES = SIZES // 2 + 1  # as contexts
 _NO_ERROR = 0.5
 _PER_ERROR = 1.0 / 65535.0
-_FAR = 1e6  # metres
-_NAN_BITS = 0x7FC00000
+NAN_BITS = 0x7FC00000
 
 F32 = NDArray[np.float32]
 Kinds = NDArray[np.uint8]
@@ -61,57 +68,12 @@ def new_models() -> Models:
     pairs = _SIZES * _SIZES * PER_CONTEXT
     return (
         new_bits(64 * 4),
-        new_bits(_SPREADS * PER_CONTEXT),
+        new_bits(SPREADS * PER_CONTEXT),
         new_bits(pairs),
         new_bits(2 * pairs),
         new_bits(2 * 16 * 8 * PER_CONTEXT),
         new_bits(256 * 256),
     )
-
-
-@njit(cache=True, error_model="numpy")
-def _bucket(value: float, unit: float) -> int:
-    """Half-octave bucket of a spread, from 1/8 unit up."""
-    bucket = 0
-    limit = unit * 0.125
-    while bucket < _SPREADS - 1 and value > limit:
-        limit *= 1.4142135623730951
-        bucket += 1
-    return bucket
-
-
-@njit(cache=True, error_model="numpy")
-def _whole(value: float, form: int, per: float) -> int:
-    """Coordinate as a whole number: of units, or the ordered bits of its float32."""
-    if form == GRID:
-        return np.int64(np.rint(min(max(value, -_FAR), _FAR) * per))
-    bits = np.int64(np.float32(value).view(np.int32))
-    return bits ^ 0x7FFFFFFF if bits < 0 else bits
-
-
-@njit(cache=True, error_model="numpy")
-def _coordinate(whole: int, form: int, per: float) -> np.float32:
-    """Inverse of :func:`_whole`."""
-    if form == GRID:
-        return np.float32(whole / per)
-    bits = min(max(whole, -(1 << 31)), (1 << 31) - 1)
-    return np.int32(bits ^ 0x7FFFFFFF if bits < 0 else bits).view(np.float32)
-
-
-@njit(cache=True, error_model="numpy")
-def _ray(points, place, before, upper, upper_left):  # type: ignore[no-untyped-def]
-    """Unit vector guessed for the next point: ``place`` turned as ``before`` or the upper points say; -1: none."""
-    x, y, z = np.float64(points[place, 0]), np.float64(points[place, 1]), np.float64(points[place, 2])
-    a, b = (upper, upper_left) if upper >= 0 and upper_left >= 0 else (place, before)
-    if a >= 0 and b >= 0:
-        ax, ay = np.float64(points[a, 0]), np.float64(points[a, 1])
-        bx, by = np.float64(points[b, 0]), np.float64(points[b, 1])
-        c, s = ax * bx + ay * by, ay * bx - ax * by
-        length = np.sqrt(c * c + s * s)
-        if length > 1e-9 and c > 0.0:
-            x, y = (x * c - y * s) / length, (x * s + y * c) / length
-    r = np.sqrt(x * x + y * y + z * z)
-    return x / r, y / r, z / r
 
 
 @njit(cache=True, error_model="numpy")
@@ -149,16 +111,16 @@ def code_points(  # type: ignore[no-untyped-def]
             kinds[i] = kind
         if kind in (ZERO, NAN):
             if way == READ:
-                bits = np.int32(0 if kind == ZERO else _NAN_BITS)
+                bits = np.int32(0 if kind == ZERO else NAN_BITS)
                 points[i, 0] = points[i, 1] = points[i, 2] = bits.view(np.float32)
             continue
         if kind == LOOSE:
             for c in range(3):
-                whole = _whole(points[i, c], BITS, per) + (1 << 31)
+                whole = whole_of(points[i, c], BITS, per) + (1 << 31)
                 high = code_even(writing, state, data, 16, whole >> 16) if way != MOVE else 0
                 low = code_even(writing, state, data, 16, whole & 0xFFFF) if way != MOVE else 0
                 if way == READ:
-                    points[i, c] = _coordinate((high << 16 | low) - (1 << 31), BITS, per)
+                    points[i, c] = coordinate_of((high << 16 | low) - (1 << 31), BITS, per)
             continue
         if way == READ and state[3] != 0:
             return
@@ -191,7 +153,7 @@ def code_points(  # type: ignore[no-untyped-def]
             dx, dy, dz = 1.0, 0.0, 0.0
             guess[:] = 0.1
         else:
-            dx, dy, dz = _ray(points, place, before, upper, upper_left)
+            dx, dy, dz = ray_of(points, place, before, upper, upper_left)
             near = np.float64(inverse[place])
             guess[:] = near
             if upper >= 0:
@@ -240,27 +202,27 @@ def code_points(  # type: ignore[no-untyped-def]
             if abs(dz) > max(abs(dx), abs(dy)):
                 axis = 2
             along = dx if axis == 0 else (dy if axis == 1 else dz)
-            whole = _whole(r * along, form, per)
+            whole = whole_of(r * along, form, per)
             if way != READ:
-                numbers[0] = _whole(points[i, axis], form, per) - whole
+                numbers[0] = whole_of(points[i, axis], form, per) - whole
             unit = 1.0 / per if form == GRID else r * 1.2e-7
         if way != MOVE:
             numbers[0] = code_number(
-                writing, state, data, of_spread, _bucket(spread, unit),
+                writing, state, data, of_spread, bucket_of(spread, unit),
                 of_sizes, size1 * _SIZES + size2, numbers[0],
             )  # fmt: skip
         sizes[i, 0] = (size_of(abs(numbers[0])) + 1) // 2
         if form != ALONG:
-            points[i, axis] = _coordinate(whole + numbers[0], form, per)
-            r = min(max(np.float64(points[i, axis]) / along, 1e-3), _FAR)
-        reach = min(_bucket(r, 0.25) // 2, 15)
+            points[i, axis] = coordinate_of(whole + numbers[0], form, per)
+            r = min(max(np.float64(points[i, axis]) / along, 1e-3), FAR)
+        reach = min(bucket_of(r, 0.25) // 2, 15)
         for c in range(1, 3):
             other = axis + c if form != ALONG else 0
             other = other - 3 if other >= 3 else other
             if form != ALONG:
-                whole = _whole(r * (dx if other == 0 else (dy if other == 1 else dz)), form, per)
+                whole = whole_of(r * (dx if other == 0 else (dy if other == 1 else dz)), form, per)
                 if way != READ:
-                    numbers[c] = _whole(points[i, other], form, per) - whole
+                    numbers[c] = whole_of(points[i, other], form, per) - whole
             if way != MOVE:
                 side = np.int64(sizes[place, c]) if place >= 0 else _SIZES - 1
                 close = np.int64(sizes[recent, c]) if recent >= 0 else _SIZES - 1
@@ -270,7 +232,7 @@ def code_points(  # type: ignore[no-untyped-def]
                 )  # fmt: skip
             sizes[i, c] = (size_of(abs(numbers[c])) + 1) // 2
             if form != ALONG:
-                points[i, other] = _coordinate(whole + numbers[c], form, per)
+                points[i, other] = coordinate_of(whole + numbers[c], form, per)
         if form == ALONG:
             a, b, c = r + numbers[0] * step, numbers[1] * step, numbers[2] * step
             points[i, 0] = a * dx + b * sx + c * tx
@@ -281,9 +243,9 @@ def code_points(  # type: ignore[no-untyped-def]
             fits = np.sqrt(ox * ox + oy * oy + oz * oz) <= tolerance
             if tolerance == 0.0:
                 fits = (
-                    _whole(points[i, 0], BITS, per) == _whole(source_x, BITS, per)
-                    and _whole(points[i, 1], BITS, per) == _whole(source_y, BITS, per)
-                    and _whole(points[i, 2], BITS, per) == _whole(source_z, BITS, per)
+                    whole_of(points[i, 0], BITS, per) == whole_of(source_x, BITS, per)
+                    and whole_of(points[i, 1], BITS, per) == whole_of(source_y, BITS, per)
+                    and whole_of(points[i, 2], BITS, per) == whole_of(source_z, BITS, per)
                 )
             if not fits:
                 points[i, 0], points[i, 1], points[i, 2] = source_x, source_y, source_z
@@ -292,54 +254,10 @@ def code_points(  # type: ignore[no-untyped-def]
                 continue
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         r = np.sqrt(x * x + y * y + z * z)
-        if not (1e-3 < r < _FAR):
+        if not (1e-3 < r < FAR):
             continue
         inverse[i] = 1.0 / r
         for p in range(PREDICTORS):
             errors[i, p] = np.uint16(min(abs(guess[p] * r - 1.0), 1.0) * 65535.0)
         before_last[lane], last[lane] = last[lane], i
         recent, recent_lane = i, lane
-
-
-def move_points(
-    points: F32, layout: Layout, form: int, per: float, step: float, tolerance: float
-) -> tuple[F32, Kinds, Kinds]:
-    """Return where points ``(S, 3)`` decode to, at most ``tolerance`` metres away, their kinds and lanes."""
-    bits = np.ascontiguousarray(points).view(np.int32)
-    with np.errstate(invalid="ignore"):
-        kinds = np.where((np.abs(points) < _FAR).all(axis=1), NORMAL, LOOSE).astype(np.uint8)
-    kinds[(bits == 0).all(axis=1)] = ZERO
-    kinds[(bits == _NAN_BITS).all(axis=1)] = NAN
-    moved = points.copy()
-    lanes = find_lanes(points) if layout[0] == 0 else np.zeros(1, np.uint8)
-    unread = np.zeros(1, np.uint8)
-    code_points(
-        MOVE, moved, kinds, lanes, *layout, form, float(per), float(step), float(tolerance),
-        new_models(), start_decoder(unread), unread,
-    )  # fmt: skip
-    return moved, kinds, lanes
-
-
-def write_points(
-    points: F32, layout: Layout, form: int, per: float, step: float, out: NDArray[np.uint8]
-) -> int:
-    """Write points exactly; return the bytes written to ``out``, -1 if full."""
-    moved, kinds, lanes = move_points(points, layout, form, per, step, 0.0)
-    state = start_encoder()
-    code_points(
-        WRITE, moved, kinds, lanes, *layout, form, float(per), float(step), 0.0, new_models(), state, out
-    )
-    return int(finish_encoder(state, out))
-
-
-def read_points(
-    n: int, layout: Layout, form: int, per: float, step: float, data: NDArray[np.uint8]
-) -> tuple[F32, bool]:
-    """Inverse of :func:`write_points`: points ``(n, 3)`` and whether the data sufficed."""
-    points, kinds = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8)
-    lanes = np.zeros(n, np.uint8)
-    state = start_decoder(data)
-    code_points(
-        READ, points, kinds, lanes, *layout, form, float(per), float(step), 0.0, new_models(), state, data
-    )
-    return points, bool(state[3] == 0)

@@ -13,15 +13,9 @@ from numpy.typing import NDArray
 from salpcc.stages.ingest.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.residual_code.integer_coder import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.layout import find_layout
-from salpcc.stages.residual_code.ray_coder import (
-    ALONG,
-    BITS,
-    GRID,
-    Layout,
-    move_points,
-    read_points,
-    write_points,
-)
+from salpcc.stages.residual_code.ray_coder import Layout
+from salpcc.stages.residual_code.ray_forms import ALONG, BITS, GRID
+from salpcc.stages.residual_code.ray_stream import move_points, read_points, write_points
 
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
