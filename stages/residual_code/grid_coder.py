@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,7 +180,7 @@ def _encode_side(elevation: NDArray[np.int16] | None, planes: NDArray[np.int32])
     parts = []
     for values in (heads, rows):
         model = integer_model(values.shape[1])
-        parts.append(run_encoder(lambda out, v=values, m=model: encode_integers(v, m, out), values.size))
+        parts.append(run_encoder(partial(encode_integers, values, model), values.size))
     return len(parts[0]).to_bytes(2, "little") + parts[0] + parts[1]
 
 
