@@ -48,7 +48,7 @@ def test_indices_are_those_of_a_sequence(path: Path) -> None:
 
 def test_random_access_decodes_one_gop_at_most(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded: list[bytes] = []
-    real = module.decode_gop
+    real = module.decode_any
 
     def spy(payloads: Any, sensor: Any) -> Iterator[Any]:
         def counted() -> Iterator[bytes]:
@@ -58,7 +58,7 @@ def test_random_access_decodes_one_gop_at_most(path: Path, monkeypatch: pytest.M
 
         return real(counted(), sensor)
 
-    monkeypatch.setattr(module, "decode_gop", spy)
+    monkeypatch.setattr(module, "decode_any", spy)
     archive = Archive.open(path)
     assert len(decoded) == 0
     archive[3]
@@ -116,7 +116,7 @@ def test_damage_is_an_error_with_the_name_of_the_file(path: Path, tmp_path: Path
 def test_a_failed_decode_can_be_tried_again(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     archive = Archive.open(path)
     with monkeypatch.context() as patch:
-        patch.setattr(module, "decode_gop", lambda payloads, sensor: iter(()))
+        patch.setattr(module, "decode_any", lambda payloads, sensor: iter(()))
         with pytest.raises(ArchiveError, match="000000 is missing"):
             archive[0]
     assert archive[0].name == "000000"
