@@ -81,7 +81,8 @@ def geometry_bytes(data: bytes) -> int:
 
     _, streams = unpack(data[1:])
     others = ("intensity", "stray_intensity", "classes")
-    return len(data) - sum(len(s) for name, s in zip(STREAMS, streams, strict=True) if name in others)
+    # The stream of recorded messages stands in payloads of logs only.
+    return len(data) - sum(len(s) for name, s in zip(STREAMS, streams, strict=False) if name in others)
 
 
 SALPCC = Baseline(
