@@ -108,7 +108,10 @@ def test_killed_run_goes_on_to_the_same_bytes(
 def test_interrupted_run_says_so_and_goes_on(
     whole: dict[str, bytes], toy_root: Path, tmp_path: Path, again: Callable[[Path], dict[str, bytes]]
 ) -> None:
-    first = start(toy_root, tmp_path)
+    def listen() -> None:  # a shell that runs the tests in its background has told them to ignore Ctrl-C
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    first = start(toy_root, tmp_path, preexec_fn=listen)
     wait_for_shards(tmp_path, 5, first)
     os.killpg(first.pid, signal.SIGINT)  # as the terminal does: to all of the group
     _, said = first.communicate(timeout=120)
