@@ -139,7 +139,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
         _warm_up(reader, gop.number)
         table = evaluate.run(
             decode_scans(reader, gop.number),
-            _originals(gop, refs),
+            _originals(gop, refs, with_labels=config.uses_network or config.labels == "given"),
             pa.Table.from_pylist([vars(entry) for entry in entries]),
             sequence=gop.sequence,
             gop=gop.number,
@@ -174,11 +174,12 @@ def _warm_up(reader: ArchiveReader, gop: int) -> None:
         _warm.add(effort)
 
 
-def _originals(gop: GopSource, refs: list[ScanRef]) -> Iterator[Scan | None]:
+def _originals(gop: GopSource, refs: list[ScanRef], with_labels: bool) -> Iterator[Scan | None]:
+    """The source's scans; labels only where there are classes to score."""
     source = SOURCES[gop.source]
     for ref in refs:
         try:
-            yield source.read(ref, with_labels=ref.labels is not None)
+            yield source.read(ref, with_labels=with_labels and ref.labels is not None)
         except SourceError:
             yield source.read(ref, with_labels=False)
 

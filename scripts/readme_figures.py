@@ -1,9 +1,9 @@
-"""Fill the tables of README.md from what was measured: ``python scripts/readme_figures.py OUT --bench BENCH.json``.
+"""Fill the tables of README.md from what was measured: ``python scripts/readme_figures.py OUT… --bench BENCH.json``.
 
 A table stands between ``<!-- figures:begin NAME -->`` and ``<!-- figures:end -->``, where NAME is ``summary``, any table
 of the report in OUT (``sequences``, ``times``, ``table1``, ``groups``, ``baselines``, ``bd_rate``, ``table2`` to ``table5``,
 ``fig8``, ``map``, ``ablation1`` …), or ``bench``, which ``python -m salpcc.stages.evaluate.bench --json BENCH.json`` measures.
-Nothing between the markers is ever typed. With ``--check`` the file is left alone and the exit code is 1 where it
+With several OUTs a table comes from the first that has it. Nothing between the markers is ever typed. With ``--check`` the file is left alone and the exit code is 1 where it
 differs. Blocks of a source that is not named are left alone.
 """
 
@@ -24,14 +24,14 @@ BLOCK = re.compile(r"(<!-- figures:begin (\w+) -->\n).*?(<!-- figures:end -->)",
 BENCH = "bench"
 
 
-def fill(text: str, report: Mapping[str, Any] | None, bench: Mapping[str, Any] | None = None) -> str:
+def fill(text: str, reports: Sequence[Mapping[str, Any]], bench: Mapping[str, Any] | None = None) -> str:
     """Return the text with the marked blocks replaced.
 
     Raises:
         ValueError: a block names a table that the report does not have, or there is none for the bench.
     """
-    tables = {}
-    if report is not None:
+    tables: dict[str, str] = {}
+    for report in reversed(reports):
         for table in [summary_table(report), *all_tables(report)]:
             tables[table.name] = f"{table.to_markdown()}\n\n{table.note} {provenance(report)}"
     if bench is not None:
@@ -43,9 +43,9 @@ def fill(text: str, report: Mapping[str, Any] | None, bench: Mapping[str, Any] |
         name = match[2]
         if name in tables:
             return f"{match[1]}\n{tables[name]}\n\n{match[3]}"
-        if (bench if name == BENCH else report) is None:
+        if not (bench if name == BENCH else reports):
             return match[0]
-        raise ValueError(f"the report has no table {name!r}, only {', '.join(sorted(tables))}")
+        raise ValueError(f"no report has a table {name!r}, only {', '.join(sorted(tables))}")
 
     return BLOCK.sub(block, text)
 
@@ -92,16 +92,16 @@ def bench_table(bench: Mapping[str, Any]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Fill, or check, a README."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("out", type=Path, nargs="?", help="output folder of a run")
+    parser.add_argument("out", type=Path, nargs="*", help="output folders of runs")
     parser.add_argument("--bench", type=Path, help="what the bench wrote with --json")
     parser.add_argument("--readme", type=Path, default=Path(__file__).parents[1] / "README.md")
     parser.add_argument("--check", action="store_true")
     asked = parser.parse_args(arguments)
     before = asked.readme.read_text(encoding="utf-8")
-    report = None if asked.out is None else json.loads((asked.out / "report" / "report.json").read_text())
+    reports = [json.loads((out / "report" / "report.json").read_text()) for out in asked.out]
     bench = None if asked.bench is None else json.loads(asked.bench.read_text())
     try:
-        after = fill(before, report, bench)
+        after = fill(before, reports, bench)
     except ValueError as error:
         print(f"readme_figures: {error}", file=sys.stderr)
         return 2

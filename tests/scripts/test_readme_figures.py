@@ -56,5 +56,5 @@ def test_figures_that_were_typed_are_noticed(script: ModuleType, out: Path, tmp_
 
 def test_an_unknown_table_is_refused(script: ModuleType, out: Path) -> None:
     figures = json.loads((out / "report" / "report.json").read_text())
-    with pytest.raises(ValueError, match="no table 'mood'"):
-        script.fill("<!-- figures:begin mood -->\n<!-- figures:end -->", figures)
+    with pytest.raises(ValueError, match="table 'mood'"):
+        script.fill("<!-- figures:begin mood -->\n<!-- figures:end -->", [figures])

@@ -127,7 +127,9 @@ def stage_table(runs: list[Run]) -> Table:
 
 
 _BELOW = {
-    "lost, % of kept": lambda f: _over(100.0 * f["points_lost"], f["points_kept"] or None),
+    "lost, %": lambda f: _over(
+        100.0 * f["points_lost"], f["points_in"] - f["points_dropped_movable"] or None
+    ),
     "largest error, mm": lambda f: _over(f["max_error_m"], 1e-3),
     "RMS error, mm": lambda f: _over(f["rms_error_m"], 1e-3),
 }
