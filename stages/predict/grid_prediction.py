@@ -43,7 +43,9 @@ class FramePredictor:
             return GridPrediction()
         from salpcc.stages.predict.st_lstm import predict_frame  # torch: the sensor profile goes without
 
-        found, self._memory = predict_frame(self._memory, self._last, (motion * UNITS).astype(np.float64), self._elevation)
+        found, self._memory = predict_frame(
+            self._memory, self._last, (motion * UNITS).astype(np.float64), self._elevation
+        )
         level = np.floor(found.ranges * _MM / self._accuracy + 0.5)
         level[(found.ranges <= 0) | (level >= LEVEL_LIMIT)] = 0
         return GridPrediction(motion, level.astype(np.int32), found.spread)
