@@ -28,7 +28,7 @@ class FramePredictor:
     """Runs the prediction network (section V-B) through a GOP, one frame after the other."""
 
     def __init__(self, elevation: NDArray[np.int16], accuracy: float) -> None:
-        self._elevation = elevation * ELEVATION_UNIT
+        self._elevation = elevation.astype(np.float64) * ELEVATION_UNIT
         self._accuracy = accuracy
         self._memory: Memory | None = None
         self._last: NDArray[np.int32] | None = None
@@ -43,9 +43,7 @@ class FramePredictor:
             return GridPrediction()
         from salpcc.stages.predict.st_lstm import predict_frame  # torch: the sensor profile goes without
 
-        found, self._memory = predict_frame(
-            self._memory, self._last, (motion * UNITS).astype(np.float64), self._elevation
-        )
+        found, self._memory = predict_frame(self._memory, self._last, motion * UNITS, self._elevation)
         level = np.floor(found.ranges * _MM / self._accuracy + 0.5)
         level[(found.ranges <= 0) | (level >= LEVEL_LIMIT)] = 0
         return GridPrediction(motion, level.astype(np.int32), found.spread)
