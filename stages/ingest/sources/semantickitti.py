@@ -46,9 +46,12 @@ def read_times(path: Path) -> list[int] | None:
     if not path.is_file():
         return None
     try:
-        return [round(float(line) * 1e9) for line in path.read_text().split()]
-    except ValueError as error:
+        times = [round(float(line) * 1e9) for line in path.read_text().split()]
+    except (ValueError, OverflowError) as error:
         raise SourceError(f"{path}: {error}") from error
+    if not all(0 <= time < 1 << 63 for time in times):
+        raise SourceError(f"{path}: a time is negative or too large for nanoseconds in 63 bits")
+    return times
 
 
 def read_classes(ref: ScanRef, n_points: int) -> NDArray[np.uint8]:

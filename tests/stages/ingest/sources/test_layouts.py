@@ -10,6 +10,7 @@ from salpcc.schemas.errors import SourceError
 from salpcc.schemas.labels import CLASSES
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.kitti_raw import read_timestamps
+from salpcc.stages.ingest.sources.semantickitti import read_times
 from salpcc.stages.ingest.sources.simulated import Simulated
 
 LABELS = np.array([10, 40, 50, 70, 252], np.uint32)
@@ -56,6 +57,14 @@ def test_timestamps_keep_their_nanoseconds(tmp_path: Path) -> None:
     path.write_text("yesterday\n")
     with pytest.raises(SourceError, match=r"timestamps\.txt"):
         read_timestamps(path)
+
+
+@pytest.mark.parametrize("time", ["inf", "nan", "-1", "1e300", "soon"])
+def test_impossible_times_are_refused(tmp_path: Path, time: str) -> None:
+    path = tmp_path / "times.txt"
+    path.write_text(f"0.1\n{time}\n")
+    with pytest.raises(SourceError, match=r"times\.txt"):
+        read_times(path)
 
 
 def test_simulation_is_made_once_and_the_same(tmp_path: Path) -> None:
