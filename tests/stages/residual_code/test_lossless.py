@@ -1,12 +1,13 @@
 """The nine lossless coders: one contract, and damage never does more than to be refused."""
 
+import zlib
 from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.lossless import CODERS
+from salpcc.stages.residual_code.lossless import CODERS, deflate64
 
 _RNG = np.random.default_rng(3)
 PLAIN = {
@@ -73,6 +74,19 @@ def test_damage_is_refused_or_decodes_to_the_announced_size(name: str) -> None:
 def test_streams_that_lie_are_refused(name: str, data: bytes) -> None:
     with pytest.raises(ArchiveError):
         CODERS[name].decode(data, 100)
+
+
+def test_a_wrong_stream_of_the_deflate64_library_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Wrong:
+        def deflate(self, plain: bytes) -> bytes:
+            return zlib.compress(plain[:-1], wbits=-15)
+
+        def flush(self) -> bytes:
+            return b""
+
+    coder, plain = CODERS["deflate64"], PLAIN["short"]
+    monkeypatch.setattr(deflate64.inflate64, "Deflater", Wrong)
+    assert coder.decode(coder.encode(plain), len(plain)) == plain
 
 
 def test_lz5_token_layout() -> None:
