@@ -9,9 +9,27 @@ from typing import Annotated
 
 import typer
 
-from salpcc.pipeline.cli_run import config_of, parse_frames, show, stages_of
-from salpcc.pipeline.run import RunRequest, run_sequences
-from salpcc.schemas.config import Effort
+from salpcc.pipeline.cli_run import (
+    Baselines,
+    Device,
+    EffortLevel,
+    FromStage,
+    Gop,
+    Json,
+    KeepMovable,
+    KeepShards,
+    Out,
+    Scheduler,
+    Sensor,
+    ToStage,
+    Weights,
+    Workers,
+    config_of,
+    execute,
+    parse_frames,
+    stages_of,
+)
+from salpcc.pipeline.run import RunRequest
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.work import STAGES
 from salpcc.stages.evaluate.baselines import names as baseline_names
@@ -31,32 +49,26 @@ def log(
     topic: Annotated[
         list[str] | None, typer.Option(help="Point clouds to code, repeatable [default: all]")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Archives, report and shards go here")] = Path("out"),
+    out: Out = Path("out"),
     max_error: Annotated[
         float | None, typer.Option(help="Metres, 3-D, per point [default: bit-exact]")
     ] = None,
-    keep_movable: Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")] = False,
-    weights: Annotated[str, typer.Option(help="Of the network: a shipped width, or a file")] = "small",
+    keep_movable: KeepMovable = False,
+    weights: Weights = "small",
     frames: Annotated[
         str | None, typer.Option(metavar="A:B", help="Clouds A to B - 1 of each topic, from 0")
     ] = None,
-    effort: Annotated[Effort, typer.Option(help="How hard to search for fewer bits")] = "default",
-    gop: Annotated[int, typer.Option(help="Scans per group of pictures")] = 8,
-    sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
-    workers: Annotated[
-        int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")
-    ] = None,
-    from_stage: Annotated[str | None, typer.Option("--from", help=f"Redo from: {' | '.join(STAGES)}")] = None,
-    to_stage: Annotated[str, typer.Option("--to", help="Stop after this stage, keeping its shards")] = STAGES[
-        -1
-    ],
-    keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,
-    baselines: Annotated[str, typer.Option(help="all | none | NAME,NAME")] = "none",
-    device: Annotated[str, typer.Option(help="cpu | cuda, for the networks")] = "cpu",
-    json_: Annotated[bool, typer.Option("--json", help="Print report.json to stdout")] = False,
+    effort: EffortLevel = "default",
+    gop: Gop = 8,
+    sensor: Sensor = "hdl64e",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    from_stage: FromStage = None,
+    to_stage: ToStage = STAGES[-1],
+    keep_shards: KeepShards = False,
+    baselines: Baselines = "none",
+    device: Device = "cpu",
+    json_: Json = False,
 ) -> None:
     """Encode the point clouds of a log, keep its other topics as they are, measure, report."""
     if not file.exists():
@@ -89,6 +101,4 @@ def log(
         graph=stages_of(from_stage, to_stage, keep_shards),
         command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
     )
-    result = run_sequences(request)
-    show(result, out, json_)
-    raise typer.Exit(1 if result.failed else 0)
+    execute(request, json_)

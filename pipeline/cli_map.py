@@ -19,8 +19,6 @@ from salpcc.schemas.errors import UsageError
 from salpcc.stages.mapping.cleaners import CLEANERS as RIVALS
 
 Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE", help="Archives of one drive, in order")]
-Workers = Annotated[int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")]
-Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout")]
 
 
@@ -74,7 +72,8 @@ def map_(
     json_: Json = False,
 ) -> None:
     """Build a clean map from decoded scans."""
-    from salpcc.pipeline.map import make_map
+    from salpcc.pipeline.cli_run import Scheduler, Workers
+from salpcc.pipeline.map import make_map
     from salpcc.pipeline.map_export import FORMATS
     from salpcc.pipeline.map_request import MapRequest
     from salpcc.stages.mapping.config import MapConfig

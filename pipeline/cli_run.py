@@ -29,6 +29,22 @@ from salpcc.stages.ingest.sources import SOURCES
 app = typer.Typer(help="Encode recorded scans to archives and report what it cost.", no_args_is_help=True)
 DEFAULT_MANIFEST = Path("data_manifest.yaml")
 
+# Options that `run sequences` and `run log` share.
+Out = Annotated[Path, typer.Option(help="Archives, report and shards go here")]
+KeepMovable = Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")]
+Weights = Annotated[str, typer.Option(help="Of the network: a shipped width, or a file")]
+EffortLevel = Annotated[Effort, typer.Option(help="How hard to search for fewer bits")]
+Gop = Annotated[int, typer.Option(help="Scans per group of pictures")]
+Sensor = Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")]
+Workers = Annotated[int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")]
+Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")]
+FromStage = Annotated[str | None, typer.Option("--from", help=f"Redo from: {' | '.join(STAGES)}")]
+ToStage = Annotated[str, typer.Option("--to", help="Stop after this stage, keeping its shards")]
+KeepShards = Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")]
+Baselines = Annotated[str, typer.Option(help="all | none | NAME,NAME")]
+Device = Annotated[str, typer.Option(help="cpu | cuda, for the networks")]
+Json = Annotated[bool, typer.Option("--json", help="Print report.json to stdout")]
+
 
 @app.command(
     epilog="Examples:  `salpcc-pipeline run sequences 00-07,09 --root DIR --keep-movable`  ·  "
@@ -41,7 +57,7 @@ def sequences(
     root: Annotated[
         Path | None, typer.Option(help="Where the data lie [default: the manifest's root]")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Archives, report and shards go here")] = Path("out"),
+    out: Out = Path("out"),
     manifest: Annotated[Path, typer.Option(help="Sources, sequences, splits")] = DEFAULT_MANIFEST,
     source: Annotated[str, typer.Option(help=f"{' | '.join(SOURCES)}")] = "semantickitti",
     profile: Annotated[Profile, typer.Option(help="sensor lattice, or the paper's grid")] = "sensor",
@@ -51,38 +67,32 @@ def sequences(
             help="Metres, 3-D, per point [default: bit-exact]; --profile paper: the range step [default: 0.001]"
         ),
     ] = None,
-    keep_movable: Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")] = False,
+    keep_movable: KeepMovable = False,
     labels: Annotated[Labels, typer.Option(help="From the network, or from .label files")] = "network",
-    weights: Annotated[str, typer.Option(help="Of the network: a shipped width, or a file")] = "small",
+    weights: Weights = "small",
     several_scans: Annotated[
         bool, typer.Option(help="Let the scans of a group settle their classes together")
     ] = True,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
-    effort: Annotated[Effort, typer.Option(help="How hard to search for fewer bits")] = "default",
+    effort: EffortLevel = "default",
     coder: Annotated[
         Coder,
         typer.Option(help="Of the residuals, with --profile paper: PPMd, the paper's others, or context"),
     ] = "ppmd",
-    gop: Annotated[int, typer.Option(help="Scans per group of pictures")] = 8,
-    sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
-    workers: Annotated[
-        int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")
-    ] = None,
-    from_stage: Annotated[str | None, typer.Option("--from", help=f"Redo from: {' | '.join(STAGES)}")] = None,
-    to_stage: Annotated[str, typer.Option("--to", help="Stop after this stage, keeping its shards")] = STAGES[
-        -1
-    ],
-    keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,
-    baselines: Annotated[str, typer.Option(help="all | none | NAME,NAME")] = "none",
+    gop: Gop = 8,
+    sensor: Sensor = "hdl64e",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    from_stage: FromStage = None,
+    to_stage: ToStage = STAGES[-1],
+    keep_shards: KeepShards = False,
+    baselines: Baselines = "none",
     tmc3: Annotated[
         Path | None,
         typer.Option(help="MPEG's program, for baselines tmc13… on this machine [default: on the PATH]"),
     ] = None,
-    device: Annotated[str, typer.Option(help="cpu | cuda, for the networks")] = "cpu",
-    json_: Annotated[bool, typer.Option("--json", help="Print report.json to stdout")] = False,
+    device: Device = "cpu",
+    json_: Json = False,
 ) -> None:
     """Encode sequences of scans, decode them again, measure, report."""
     if source not in SOURCES:
@@ -124,9 +134,7 @@ def sequences(
         graph=stages_of(from_stage, to_stage, keep_shards),
         command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
     )
-    result = run_sequences(request)
-    show(result, out, json_)
-    raise typer.Exit(1 if result.failed else 0)
+    execute(request, json_)
 
 
 def _manifest(path: Path) -> Manifest:
@@ -164,7 +172,14 @@ def stages_of(first: str | None, last: str, keep: bool) -> GraphOptions:
     return GraphOptions(first or STAGES[0], last, first is not None, keep)
 
 
-def show(result: RunResult, out: Path, json_: bool) -> None:
+def execute(request: RunRequest, json_: bool) -> None:
+    """Run, print what it gave, leave with its exit code."""
+    result = run_sequences(request)
+    _show(result, request.out, json_)
+    raise typer.Exit(1 if result.failed else 0)
+
+
+def _show(result: RunResult, out: Path, json_: bool) -> None:
     """Print what a run gave."""
     for error in result.errors:
         STDERR.print(f"failed: {error.sequence}/{error.scan}: {error.reason}", soft_wrap=True, markup=False)
