@@ -15,6 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from salpcc.pipeline.cli_run import Scheduler, Workers
 from salpcc.schemas.errors import UsageError
 from salpcc.stages.mapping.cleaners import CLEANERS as RIVALS
 
@@ -72,8 +73,7 @@ def map_(
     json_: Json = False,
 ) -> None:
     """Build a clean map from decoded scans."""
-    from salpcc.pipeline.cli_run import Scheduler, Workers
-from salpcc.pipeline.map import make_map
+    from salpcc.pipeline.map import make_map
     from salpcc.pipeline.map_export import FORMATS
     from salpcc.pipeline.map_request import MapRequest
     from salpcc.stages.mapping.config import MapConfig
