@@ -50,8 +50,12 @@ def segment(
     width: Annotated[str, typer.Option(help="small | paper")] = "small",
     hold_out: Annotated[str, typer.Option(help="Sequences to score on and never to train on")] = "06",
     donors: Annotated[
-        Path | None, typer.Option(help="Labelled root (simulated, say) whose vehicles are pasted in, too")
-    ] = None,
+        str,
+        typer.Option(
+            metavar="ROOT",
+            help="Labelled root whose vehicles and people are pasted in, too; simulated: streets made in --out; none",
+        ),
+    ] = "simulated",
     steps: Annotated[int, typer.Option(min=1, help="Optimiser steps")] = 5000,
     batch: Annotated[int, typer.Option(min=1, help="Crops in a step")] = 8,
     rate: Annotated[float, typer.Option(help="Peak learning rate")] = 2e-3,
@@ -64,11 +68,16 @@ def segment(
         str | None, typer.Option(metavar="WEIGHTS", help="Do not train, score these on --hold-out")
     ] = None,
 ) -> None:
-    """Train the segmentation network on labelled scans, or score it."""
+    """Train the segmentation network on labelled scans, or score it.
+
+    The defaults are the recipe of the shipped weights: three phases, simulated vehicles pasted in.
+    """
     from salpcc.stages.segment.checkpoint import load_weights
     from salpcc.stages.segment.network import WIDTHS
+    from salpcc.stages.segment.training.donors import simulated_donors
     from salpcc.stages.segment.training.labelled import list_labelled
-    from salpcc.stages.segment.training.loop import Recipe, train_segment
+    from salpcc.stages.segment.training.loop import train_segment
+    from salpcc.stages.segment.training.recipe import Recipe
     from salpcc.stages.segment.training.score import score_table
     from salpcc.stages.segment.weights_file import weights_path
 
@@ -85,7 +94,10 @@ def segment(
         return
     recipe = Recipe(width, steps, batch, rate, seed=seed, workers=workers, every=every)
     refs = list_labelled(data, leave_out=names)
-    given = list_labelled(donors) if donors is not None else []
+    if donors == "simulated":
+        given = simulated_donors(out / "donors", STDERR.print)
+    else:
+        given = [] if donors == "none" else list_labelled(Path(donors))
     path = train_segment(refs, held_out, out, recipe, device, given, resume, log=STDERR.print)
     typer.echo(f"weights: {path}; use them with --weights {path}")
 

@@ -20,7 +20,6 @@ from salpcc.stages.segment.features import COORDINATES, DEPTH, INTENSITY
 from salpcc.stages.segment.point_branch import PointBranch, PointTensors
 
 N_CLASSES = 19  # SemanticKITTI's; class 0 of CLASSES is unlabelled and never predicted
-_DROPPED = 0.1  # share of the channels that training leaves out below the first level
 assert CLASSES[N_CLASSES].name == "traffic-sign"
 
 
@@ -58,7 +57,9 @@ WIDTHS = {
 
 
 class SegmentNetwork(nn.Module):
-    """Labels pixels of a range image."""
+    """Labels pixels of a range image; ``dropped`` is the share of channels that training leaves out below level 1."""
+
+    dropped = 0.0
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
@@ -98,7 +99,7 @@ class SegmentNetwork(nn.Module):
         for encoder in self.encoders:
             level = encoder(functional.max_pool2d(level, 2) if skips else level)
             if skips:
-                level = functional.dropout2d(level, _DROPPED, self.training)
+                level = functional.dropout2d(level, self.dropped, self.training)
             skips.append(level)
         for i in range(len(skips) - 2, -1, -1):
             lifted = functional.interpolate(self.lifts[i](level), scale_factor=2, mode="nearest")

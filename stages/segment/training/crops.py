@@ -49,13 +49,15 @@ def mirror(crop: Crop, columns: int) -> Crop:
     return Crop(planes, np.ascontiguousarray(crop.classes[:, ::-1]), first)
 
 
-def distort(crop: Crop, rng: np.random.Generator) -> Crop:
-    """Turn, scale, brighten and thin out a crop at random."""
+def distort(crop: Crop, rng: np.random.Generator, turned: float = 0.4, brightened: float = 0.25) -> Crop:
+    """Turn, scale, brighten and thin out a crop at random; shares as in ``SampleConfig``."""
     planes = crop.planes.copy()
     # Mostly along the road or against it, where the heading tells something; at times any way at all.
     rotate(
         planes,
-        rng.uniform(-np.pi, np.pi) if rng.random() < 0.4 else rng.normal(0.0, 0.35) + np.pi * rng.integers(2),
+        rng.uniform(-np.pi, np.pi)
+        if rng.random() < turned
+        else rng.normal(0.0, 0.35) + np.pi * rng.integers(2),
     )
     planes[[X, Y, Z, RANGE, HEIGHT]] *= np.float32(rng.uniform(0.93, 1.07))
     lift = np.float32(rng.normal(0.0, 0.08))
@@ -64,7 +66,7 @@ def distort(crop: Crop, rng: np.random.Generator) -> Crop:
     stretch = 1.0 + noise / np.maximum(planes[RANGE], 1.0)
     planes[[X, Y, Z, RANGE]] *= stretch
     planes[HEIGHT] += rng.normal(0.0, 0.04)
-    wide = rng.random() < 0.25  # another sensor's calibration
+    wide = rng.random() < brightened  # another sensor's calibration
     power, gain = (
         (rng.uniform(0.5, 2.0), rng.uniform(0.5, 1.5))
         if wide

@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -20,41 +20,14 @@ from salpcc.stages.segment.class_shares import training_weights
 from salpcc.stages.segment.network import WIDTHS, SegmentNetwork, for_cpu
 from salpcc.stages.segment.training.labelled import sequence_of
 from salpcc.stages.segment.training.losses import segmentation_loss
-from salpcc.stages.segment.training.samples import Batch, SampleConfig, Samples, loader
+from salpcc.stages.segment.training.recipe import Phase, Recipe
+from salpcc.stages.segment.training.samples import Batch, Samples, loader
 from salpcc.stages.segment.training.score import count_scans, scores
 
 Log = Callable[[str], None]
 
 _FOLLOW = 0.998  # share of the average that stays at each step
 _WARM_UP = 0.03  # share of the steps
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """How the network is trained.
-
-    Attributes:
-        width: key of :data:`~salpcc.stages.segment.network.WIDTHS`.
-        steps, batch: optimiser steps, crops in each.
-        rate: peak learning rate. The paper trains at 5e-4 for 40,000 epochs; for thousands of steps more is better.
-        betas: of Adam, the paper's.
-        decay: weight decay (AdamW).
-        seed: of the weights and the crops.
-        workers: processes that make crops.
-        every: steps between checkpoints, scores and lines of the log.
-        samples: how crops are made.
-    """
-
-    width: str = "small"
-    steps: int = 6000
-    batch: int = 8
-    rate: float = 2e-3
-    betas: tuple[float, float] = (0.9, 0.99)
-    decay: float = 0.01
-    seed: int = 0
-    workers: int = 1
-    every: int = 250
-    samples: SampleConfig = field(default_factory=SampleConfig)
 
 
 class Trainer:
@@ -71,7 +44,6 @@ class Trainer:
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), recipe.rate, recipe.betas, weight_decay=recipe.decay
         )
-        self.weights = torch.from_numpy(training_weights()).to(device)
 
     def rate(self) -> float:
         """Learning rate of the coming step: a short warm-up, then a cosine down to 1 %."""
@@ -83,12 +55,15 @@ class Trainer:
 
     def take_step(self, batch: Batch) -> float:
         """Take one step and return its loss."""
+        phase = self.recipe.phase(self.step)
+        self.network.dropped = phase.dropped
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate()
         self.network.train()
         with torch.autocast(self.device, torch.bfloat16):
             logits = self.network(batch.features.to(self.device), batch.sets.to(self.device))
-        loss = segmentation_loss(logits, batch.targets.to(self.device), self.weights)
+        weights = torch.from_numpy(training_weights(phase.root)).to(self.device)
+        loss = segmentation_loss(logits, batch.targets.to(self.device), weights, phase.movable)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
@@ -169,21 +144,21 @@ def train_segment(
     if resume:
         trainer.resume(checkpoint)
     weights = out / f"segment_{recipe.width}.safetensors"
-    # Crops are not replayed after a resume: another seed draws new ones.
-    samples = Samples(
-        trainer.refs,
-        trainer.network.config,
-        recipe.batch,
-        recipe.seed + 1000 * trainer.step,
-        recipe.samples,
-        donors,
-    )
-    batches = loader(samples, recipe.workers)
     sequences = sorted({sequence_of(ref) for ref in refs})
     log(f"{len(trainer.refs)} scans of {', '.join(sequences)}; {len(held_out)} held out; step {trainer.step}")
     losses: list[float] = []
     begun = time.monotonic()
+    phase: Phase | None = None
     while trainer.step < recipe.steps:
+        if phase is not recipe.phase(trainer.step):
+            phase = recipe.phase(trainer.step)
+            # Crops are not replayed after a resume: another seed draws new ones.
+            seed = recipe.seed + 1000 * trainer.step
+            config = trainer.network.config
+            batches = loader(
+                Samples(trainer.refs, config, recipe.batch, seed, phase.samples, donors), recipe.workers
+            )
+            log(f"phase {recipe.phases.index(phase) + 1} of {len(recipe.phases)} from step {trainer.step}")
         losses.append(trainer.take_step(next(batches)))
         if trainer.step % recipe.every and trainer.step != recipe.steps:
             continue

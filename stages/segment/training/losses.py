@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS
+from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS, MOVABLE
 from salpcc.stages.segment.network import N_CLASSES
 
 _GROUP_OF_OUTPUT = torch.tensor(GROUP_OF_CLASS[1 : N_CLASSES + 1].astype("int64"))
@@ -40,13 +40,14 @@ def lovasz(probabilities: Tensor, targets: Tensor) -> Tensor:
     return torch.stack(losses).mean() if losses else probabilities.sum() * 0.0
 
 
-def segmentation_loss(logits: Tensor, targets: Tensor, class_weights: Tensor) -> Tensor:
+def segmentation_loss(logits: Tensor, targets: Tensor, class_weights: Tensor, movable: float = 1.0) -> Tensor:
     """Return the training loss.
 
     Args:
         logits: ``(B, 19, H, W)``.
         targets: ``(B, H, W)`` int64, -1 where there is no label.
         class_weights: ``(19,)``.
+        movable: weight of the group movable, the others weigh 1.
     """
     labelled = targets >= 0
     rows = logits.permute(0, 2, 3, 1)[labelled].float()
@@ -56,6 +57,8 @@ def segmentation_loss(logits: Tensor, targets: Tensor, class_weights: Tensor) ->
     by_class = functional.cross_entropy(rows, truth, weight=class_weights.to(rows.device))
     groups = group_logits(rows)
     truth_groups = _GROUP_OF_OUTPUT.to(truth.device)[truth]
-    by_group = functional.cross_entropy(groups, truth_groups)
+    weights = torch.ones(len(GROUPS), device=rows.device)
+    weights[MOVABLE] = movable
+    by_group = functional.cross_entropy(groups, truth_groups, weight=weights)
     thin = slice(None, None, 2)  # sorting every pixel costs more than it brings
     return by_class + by_group + lovasz(torch.softmax(groups[thin], 1), truth_groups[thin])

@@ -19,33 +19,11 @@ from salpcc.stages.segment.range_image import COLUMNS, RANGE
 from salpcc.stages.segment.training.crops import Crop, cut, distort, mirror
 from salpcc.stages.segment.training.labelled import LabelledImage, LabelledScans, read_labelled, sequence_of
 from salpcc.stages.segment.training.mixing import Instance, instances_of, mix, paste
+from salpcc.stages.segment.training.recipe import SampleConfig
 
 IGNORED = -1
 _BANK = 400  # instances kept of each class
 _LEAST_RETURNS = 500
-# Cars are plenty; of the others there are a handful each.
-_PASTE_WEIGHT = {"car": 1.0, "truck": 0.35, "other-vehicle": 0.35, "person": 0.15}
-_OTHER_WEIGHT = 0.1
-
-
-@dataclass(frozen=True)
-class SampleConfig:
-    """How crops are made.
-
-    Attributes:
-        width: columns of a crop.
-        mixed, pasted: share of crops that are mixed with another, or get instances pasted.
-        most_pasted: instances pasted into one crop at most.
-        from_donors: share of the pasted instances that comes from donor scans, where there are any.
-        distorted: whether crops are turned, scaled, mirrored and thinned out.
-    """
-
-    width: int = 512
-    mixed: float = 0.25
-    pasted: float = 0.35
-    most_pasted: int = 3
-    from_donors: float = 0.4
-    distorted: bool = True
 
 
 @dataclass(eq=False)
@@ -112,7 +90,9 @@ class Samples(IterableDataset[Batch]):
             crop = mix(crop, self._plain(rng), COLUMNS, rng)
         if rng.random() < self.config.pasted:
             self._paste(crop, rng)
-        return distort(crop, rng) if self.config.distorted else crop
+        if not self.config.distorted:
+            return crop
+        return distort(crop, rng, self.config.turned, self.config.brightened)
 
     def _plain(self, rng: np.random.Generator) -> Crop:
         number = int(rng.choice(len(self.scans), p=self._weights))
@@ -125,11 +105,13 @@ class Samples(IterableDataset[Batch]):
         return replace(crop, planes=crop.planes.copy(), classes=crop.classes.copy())
 
     def _paste(self, crop: Crop, rng: np.random.Generator) -> None:
-        if self.donors:  # read one by one, as they are needed; only their instances are kept
+        if (
+            self.donors and self.config.from_donors
+        ):  # read one by one, as they are needed; only their instances are kept
             self._given.add(read_labelled(self.donors.pop(int(rng.integers(len(self.donors))))), rng)
         for _ in range(int(rng.integers(1, self.config.most_pasted + 1))):
             given = self._given.instances and rng.random() < self.config.from_donors
-            instance = (self._given if given else self._own).draw(rng)
+            instance = (self._given if given else self._own).draw(rng, self.config.kinds)
             if instance is None:
                 return
             flip = bool(rng.random() < 0.5)
@@ -152,12 +134,17 @@ class InstanceBank:
             if len(kept) > _BANK:
                 kept.pop(int(rng.integers(len(kept))))
 
-    def draw(self, rng: np.random.Generator) -> Instance | None:
-        """Draw one, None where there are none."""
+    def draw(self, rng: np.random.Generator, kinds: tuple[float, float, float]) -> Instance | None:
+        """Draw one, classes weighed as in :class:`SampleConfig`; None where there are none.
+
+        Cars are plenty; of the others there are a handful each.
+        """
         labels = sorted(self.instances)
         if not labels:
             return None
-        weights = np.array([_PASTE_WEIGHT.get(CLASSES[label].name, _OTHER_WEIGHT) for label in labels])
+        vehicle, person, other = kinds
+        known = {"car": 1.0, "truck": vehicle, "other-vehicle": vehicle, "person": person}
+        weights = np.array([known.get(CLASSES[label].name, other) for label in labels])
         kept = self.instances[labels[int(rng.choice(len(labels), p=weights / weights.sum()))]]
         return kept[int(rng.integers(len(kept)))]
 

@@ -6,18 +6,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from typer.testing import CliRunner
 
+from salpcc.pipeline.cli_train import app
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.segment import network
 from salpcc.stages.segment.checkpoint import load_weights
+from salpcc.stages.segment.class_shares import training_weights
 from salpcc.stages.segment.network import NetworkConfig
 from salpcc.stages.segment.segmenter import label_points
+from salpcc.stages.segment.training.donors import simulated_donors
 from salpcc.stages.segment.training.labelled import LabelledScans, list_labelled
-from salpcc.stages.segment.training.loop import Recipe, Trainer, train_segment
-from salpcc.stages.segment.training.samples import SampleConfig, Samples
+from salpcc.stages.segment.training.loop import Trainer, train_segment
+from salpcc.stages.segment.training.recipe import PHASES, Phase, Recipe, SampleConfig
+from salpcc.stages.segment.training.samples import Batch, InstanceBank, Samples
 
 TINY = NetworkConfig("tiny", 4, 8, 4, 1, (8, 8, 8), 1024, 16, (16, 16), 1)
-RECIPE = Recipe("tiny", steps=24, batch=2, rate=5e-3, workers=0, every=12, samples=SampleConfig(width=128))
+SAMPLES = SampleConfig(width=128)
+PLAIN = (Phase(samples=SAMPLES),)
+RECIPE = Recipe("tiny", steps=24, batch=2, rate=5e-3, workers=0, every=12, phases=PLAIN)
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +47,7 @@ def test_training_learns_and_leaves_weights(street: Path, tmp_path: Path) -> Non
     lines: list[str] = []
     path = train_segment(refs, held_out, tmp_path, RECIPE, donors=held_out, log=lines.append)
     log = (tmp_path / "training.csv").read_text().splitlines()
-    assert len(log) == 3 and log[0].startswith("step,rate,loss") and len(lines) == 3
+    assert len(log) == 3 and log[0].startswith("step,rate,loss") and len(lines) == 4
     first, last = (float(row.split(",")[2]) for row in log[1:])
     assert last < 0.95 * first
     trained, facts = load_weights(path)
@@ -51,7 +58,7 @@ def test_training_learns_and_leaves_weights(street: Path, tmp_path: Path) -> Non
 
 def test_a_checkpoint_goes_on(street: Path, tmp_path: Path) -> None:
     refs = list_labelled(street)
-    batch = Samples(refs, TINY, 2, 0, RECIPE.samples).draw(np.random.default_rng(0))
+    batch = Samples(refs, TINY, 2, 0, SAMPLES).draw(np.random.default_rng(0))
     straight = Trainer(RECIPE, refs)
     for _ in range(3):
         straight.take_step(batch)
@@ -73,7 +80,7 @@ def test_a_checkpoint_goes_on(street: Path, tmp_path: Path) -> None:
 
 
 def test_crops_follow_the_seed(street: Path) -> None:
-    samples = [Samples(list_labelled(street), TINY, 2, 7, RECIPE.samples) for _ in range(2)]
+    samples = [Samples(list_labelled(street), TINY, 2, 7, SAMPLES) for _ in range(2)]
     first, second = (next(iter(one)) for one in samples)
     assert torch.equal(first.features, second.features) and torch.equal(first.targets, second.targets)
     assert first.targets.min() >= -1 and first.targets.max() < 19
@@ -85,3 +92,62 @@ def test_scans_are_read_as_they_are_needed(street: Path, toy_root: Path) -> None
     assert (scans[0].instances > 0).any() and not scans[0].instances[scans[0].classes == 9].any()
     with pytest.raises(SourceError, match="no labelled scans"):
         list_labelled(toy_root, leave_out=["00", "01"])
+
+
+def test_one_command_walks_through_the_phases_and_goes_on_where_it_stopped(
+    street: Path, tmp_path: Path, monkeypatch
+) -> None:
+    words = f"segment --data {street} --hold-out 01 --out {tmp_path} --width tiny --donors {street}"
+    command = f"{words} --steps 8 --batch 1 --every 2 --workers 0".split()
+    save = Trainer.save
+
+    def save_and_stop(trainer: Trainer, path: Path) -> None:
+        save(trainer, path)
+        if trainer.step == 4:
+            raise KeyboardInterrupt
+
+    taken: list[tuple[int, float]] = []
+    step = Trainer.take_step
+
+    def noted(trainer: Trainer, batch: Batch) -> float:
+        loss = step(trainer, batch)
+        taken.append((trainer.step, trainer.network.dropped))
+        return loss
+
+    monkeypatch.setattr(Trainer, "take_step", noted)
+    with monkeypatch.context() as stopped:
+        stopped.setattr(Trainer, "save", save_and_stop)
+        assert CliRunner().invoke(app, command).exit_code == 130
+    done = CliRunner().invoke(app, [*command, "--resume"])
+    assert done.exit_code == 0, done.output
+    assert "phase 2 of 3 from step 4" in done.output and "phase 3 of 3 from step 5" in done.output
+    assert taken == [(n, 0.0 if n <= 5 else 0.1) for n in range(1, 9)]
+    rows = (tmp_path / "training.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["step", "2", "6", "8"]
+    assert load_weights(tmp_path / "segment_tiny.safetensors")[1]["recipe"]["steps"] == 8
+
+
+def test_phases_differ_in_what_is_pasted_and_weighed(street: Path) -> None:
+    recipe = Recipe(steps=100)
+    assert [recipe.phase(n) for n in (0, 34, 35, 59, 60, 99, 100)] == [
+        PHASES[i] for i in (0, 0, 1, 1, 2, 2, 2)
+    ]
+    rare = 7  # motorcyclist
+    heavy, plain = (training_weights(phase.root)[rare] for phase in PHASES[:2])
+    assert heavy > 1.2 * plain
+    bank = InstanceBank()
+    rng = np.random.default_rng(0)
+    for image in (LabelledScans(list_labelled(street))[i] for i in range(2)):
+        bank.add(image, rng)
+    cars = [
+        np.mean([bank.draw(rng, phase.samples.kinds).label == 1 for _ in range(400)])
+        for phase in (PHASES[0], PHASES[2])
+    ]
+    assert cars[1] > cars[0] + 0.1
+
+
+def test_donors_are_simulated_once(tmp_path: Path) -> None:
+    said: list[str] = []
+    first = simulated_donors(tmp_path / "donors", said.append, range(30, 31))
+    again = simulated_donors(tmp_path / "donors", said.append, range(30, 31))
+    assert [ref.path for ref in first] == [ref.path for ref in again] and len(first) == 2 and len(said) == 1
