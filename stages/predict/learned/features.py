@@ -15,31 +15,36 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-PAD = 8
+from salpcc.stages.predict.learned.local_plane import (
+    LEFT,
+    SECOND,
+    SLOTS,
+    UD,
+    UPPER,
+    UU,
+    D,
+    P,
+    U,
+    fit_plane,
+    refit_plane,
+    weigh,
+)
+from salpcc.stages.predict.learned.ring_rows import PAD
+
 PREDICTORS = 10
-LEFT, UPPER, SECOND = 8, 10, 6
-SLOTS = 24
 INPUTS = 72
 SCALE = 128.0  # one unit of a feature, in steps of the integer network
 LIMIT = 1023.0
 
-WORK = 168  # scratch of point_features, float32
-_U, _UU, _D, _UD, _P, _W, _Q = 0, 24, 48, 72, 96, 120, 144
-
-_TICKS = np.float32(4000.0)
-_TICKS_PER_RADIAN = np.float32(636.6197723675814)
 _NEAR, _FAR = np.float32(2.0), np.float32(1.0 / 125.0)  # bounds of a predicted inverse range, 1/m
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _UNIT = np.float32(1.0 / 16.0)  # of a difference, per count
 _SCALE, _LIMIT = np.float32(SCALE), np.float32(LIMIT)
 _SLOT_DECAY = np.float32(1.0 / 16.0)
 _GAP = np.float32(8.0)
-_EDGE, _SPAN = np.float32(0.06), np.float32(16.0)
 _WIDE, _TIGHT = np.float32(0.02), np.float32(0.001)  # tolerances of the planes, of the inverse range
 _WIDE_UP = np.float32(0.05)
 _NOISE = np.float32(0.02)  # and of its square, m
-_RIDGE_U, _RIDGE_V = np.float32(0.02), np.float32(0.005)
-_TINY = np.float32(1e-9)
 _NO_ERROR = np.float32(1.5)
 
 F32 = NDArray[np.float32]
@@ -52,126 +57,6 @@ def squash(x: F32, n: int) -> None:
     for i in range(n):
         a = x[i] / np.sqrt(_ONE + abs(x[i]))
         x[i] = a / np.sqrt(_ONE + abs(a))
-
-
-@njit(cache=True, error_model="numpy")
-def close_ring(azimuth: F32, inverse: F32, error: F32, n: int) -> None:
-    """Fill the cyclic margins of a coded ring that stands at ``[PAD, PAD + n)``; n at least 1."""
-    for p in range(PAD):
-        left = PAD + n - 1 - p % n
-        right = PAD + p % n
-        turns = np.float32(1 + p // n) * _TICKS
-        azimuth[PAD - 1 - p] = azimuth[left] - turns
-        inverse[PAD - 1 - p] = inverse[left]
-        azimuth[PAD + n + p] = azimuth[right] + turns
-        inverse[PAD + n + p] = inverse[right]
-        error[PAD - 1 - p] = error[PAD]
-        error[PAD + n + p] = error[PAD + n - 1]
-
-
-@njit(cache=True, error_model="numpy")
-def align(
-    azimuth: F32,
-    inverse: F32,
-    n: int,
-    lever: np.float32,
-    current: F32,
-    m: int,
-    frame: F32,
-    index: I32,
-    value: F32,
-) -> None:
-    """Move a coded ring into the frame of the current one and interpolate it at the current azimuths.
-
-    ``lever`` is the difference of the two lever arms in metres. Fills ``frame`` (azimuths of the ring,
-    margins included), and for each of the ``m`` current azimuths ``index`` (the last return of the
-    ring not after it) and ``value`` (inverse range there: linear, or the nearer one across an edge).
-    """
-    shift = lever * _TICKS_PER_RADIAN
-    for i in range(n + 2 * PAD):
-        frame[i] = azimuth[i] + shift * inverse[i]
-    j = PAD - 1
-    last = PAD + n - 1
-    for i in range(m):
-        a = current[PAD + i]
-        while j < last and frame[j + 1] <= a:
-            j += 1
-        index[i] = j
-        span = frame[j + 1] - frame[j]
-        t = (a - frame[j]) / span if span > _ZERO else _ZERO
-        t = min(max(t, _ZERO), _ONE)
-        difference = inverse[j + 1] - inverse[j]
-        if abs(difference) > _EDGE * inverse[j] or span > _SPAN:
-            value[i] = inverse[j + 1] if t > _HALF else inverse[j]
-        else:
-            value[i] = inverse[j] + t * difference
-
-
-@njit(cache=True, error_model="numpy")
-def _sums(work: F32, start: int, n: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Weighted sums of 1, U, U^2, D, U D over the slots of one ring."""
-    s0, s1, s2, s3, s4 = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-    for k in range(start, start + n):
-        weight = work[_W + k]
-        s0 += weight
-        s1 += weight * work[_U + k]
-        s2 += weight * work[_UU + k]
-        s3 += weight * work[_D + k]
-        s4 += weight * work[_UD + k]
-    return s0, s1, s2, s3, s4
-
-
-@njit(cache=True, error_model="numpy")
-def _plane(work: F32, v: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Fit ``D = a + b U + c V`` by least squares with weights W and a little ridge.
-
-    V is 0 on the current ring, 1 on the one above, ``v`` on the next. Returns a, b, c, sum of weights.
-    """
-    l0, l1, l2, l3, l4 = _sums(work, 0, LEFT)
-    m0, m1, m2, m3, m4 = _sums(work, LEFT, UPPER)
-    n0, n1, n2, n3, n4 = _sums(work, LEFT + UPPER, SECOND)
-    n0v = n0 * v
-    s = (l0 + m0) + n0
-    su = (l1 + m1) + n1
-    sv = m0 + n0v
-    sd = (l3 + m3) + n3
-    per = _ONE / (s + _TINY)
-    mu = su * per
-    mv = sv * per
-    md = sd * per
-    uu = (l2 + m2) + n2 - su * mu + _RIDGE_U
-    uv = m1 + n1 * v - su * mv
-    vv = m0 + n0v * v - sv * mv + _RIDGE_V
-    ud = (l4 + m4) + n4 - su * md
-    vd = m3 + n3 * v - sv * md
-    det = _ONE / max(uu * vv - uv * uv, _TINY)
-    slope_u = (ud * vv - vd * uv) * det
-    slope_v = (vd * uu - ud * uv) * det
-    return md - slope_u * mu - slope_v * mv, slope_u, slope_v, s
-
-
-@njit(cache=True, error_model="numpy")
-def _weigh(work: F32, source: int, centre: np.float32, tolerance: np.float32) -> None:
-    """Weights of the slots: position weight over (1 + q^2)^2, q = (source - centre) / tolerance."""
-    for k in range(SLOTS):
-        q = (work[source + k] - centre) * tolerance
-        q = _ONE + q * q
-        work[_W + k] = work[_P + k] / (q * q)
-
-
-@njit(cache=True, error_model="numpy")
-def _refit(
-    work: F32, v: np.float32, a: np.float32, b: np.float32, c: np.float32, tolerance: np.float32
-) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Fit the plane again with weights from the distances to the plane (a, b, c)."""
-    for k in range(LEFT):
-        work[_Q + k] = work[_D + k] - (a + b * work[_U + k])
-    for k in range(LEFT, LEFT + UPPER):
-        work[_Q + k] = work[_D + k] - ((a + c) + b * work[_U + k])
-    for k in range(LEFT + UPPER, SLOTS):
-        work[_Q + k] = work[_D + k] - ((a + c * v) + b * work[_U + k])
-    _weigh(work, _Q, _ZERO, tolerance)
-    return _plane(work, v)
 
 
 @njit(cache=True, error_model="numpy")
@@ -223,54 +108,54 @@ def point_features(
     o = c - LEFT
     for k in range(LEFT):
         u = (azimuth[np.uint64(o + k)] - a) * _HALF
-        work[_U + k] = u
+        work[U + k] = u
         d = inverse[np.uint64(o + k)] - w1
-        work[_D + k] = d
-        work[_P + k] = _ONE
+        work[D + k] = d
+        work[P + k] = _ONE
     for k in range(LEFT - n_left):
-        work[_D + k] = _ZERO
-        work[_P + k] = _ZERO
+        work[D + k] = _ZERO
+        work[P + k] = _ZERO
     j1 = index1[i]
     if has1:
         o = j1 - UPPER // 2 + 1
         for k in range(UPPER):
             u = (frame1[np.uint64(o + k)] - a) * _HALF
             d = inverse1[np.uint64(o + k)] - w1
-            work[_U + LEFT + k] = u
-            work[_D + LEFT + k] = d
-            work[_P + LEFT + k] = _ONE
+            work[U + LEFT + k] = u
+            work[D + LEFT + k] = d
+            work[P + LEFT + k] = _ONE
     else:
         for k in range(UPPER):
-            work[_U + LEFT + k] = _ZERO
-            work[_D + LEFT + k] = _ZERO
-            work[_P + LEFT + k] = _ZERO
+            work[U + LEFT + k] = _ZERO
+            work[D + LEFT + k] = _ZERO
+            work[P + LEFT + k] = _ZERO
     j2 = index2[i]
     if has2:
         o = j2 - SECOND // 2 + 1
         for k in range(SECOND):
             u = (frame2[np.uint64(o + k)] - a) * _HALF
             d = inverse2[np.uint64(o + k)] - w1
-            work[_U + LEFT + UPPER + k] = u
-            work[_D + LEFT + UPPER + k] = d
-            work[_P + LEFT + UPPER + k] = _HALF
+            work[U + LEFT + UPPER + k] = u
+            work[D + LEFT + UPPER + k] = d
+            work[P + LEFT + UPPER + k] = _HALF
     else:
         for k in range(SECOND):
-            work[_U + LEFT + UPPER + k] = _ZERO
-            work[_D + LEFT + UPPER + k] = _ZERO
-            work[_P + LEFT + UPPER + k] = _ZERO
+            work[U + LEFT + UPPER + k] = _ZERO
+            work[D + LEFT + UPPER + k] = _ZERO
+            work[P + LEFT + UPPER + k] = _ZERO
 
     for k in range(SLOTS):
-        uu = work[_U + k] * work[_U + k]
-        work[_UU + k] = uu
-        work[_UD + k] = work[_U + k] * work[_D + k]
-        work[_P + k] = work[_P + k] / (_ONE + uu * _SLOT_DECAY)
+        uu = work[U + k] * work[U + k]
+        work[UU + k] = uu
+        work[UD + k] = work[U + k] * work[D + k]
+        work[P + k] = work[P + k] / (_ONE + uu * _SLOT_DECAY)
     noise = _NOISE * w1 * w1
     tight = _ONE / (_TIGHT * w1 + noise)
-    _weigh(work, _D, shift1, _ONE / (_WIDE_UP * w1 + noise))
-    plane_up, _, _, sum_up = _plane(work, height2)
-    _weigh(work, _D, _ZERO, _ONE / (_WIDE * w1 + noise))
-    plane_left, b, g, sum_left = _plane(work, height2)
-    plane_tight, slope_u, slope_v, sum_tight = _refit(work, height2, plane_left, b, g, tight)
+    weigh(work, D, shift1, _ONE / (_WIDE_UP * w1 + noise))
+    plane_up, _, _, sum_up = fit_plane(work, height2)
+    weigh(work, D, _ZERO, _ONE / (_WIDE * w1 + noise))
+    plane_left, b, g, sum_left = fit_plane(work, height2)
+    plane_tight, slope_u, slope_v, sum_tight = refit_plane(work, height2, plane_left, b, g, tight)
     base = min(max(w1 + plane_tight, _FAR), _NEAR)
 
     mu[0] = w1
@@ -281,14 +166,14 @@ def point_features(
     mu[6] = up
     if n_left >= 2:
         span = max(azimuth[c - 1] - azimuth[c - 2], _ONE)
-        mu[1] = w1 - work[_D + LEFT - 2] * ((a - azimuth[c - 1]) / span)
+        mu[1] = w1 - work[D + LEFT - 2] * ((a - azimuth[c - 1]) / span)
     mu[5] = up + (up - second) / max(height2 - _ONE, np.float32(0.25))
     if n_left >= 4:
-        mu[2] = w1 + (work[_D + LEFT - 2] - work[_D + LEFT - 4]) * _HALF
+        mu[2] = w1 + (work[D + LEFT - 2] - work[D + LEFT - 4]) * _HALF
     if n_left >= 1 and has1:
         mu[4] = w1 + (up - value1[i - 1])
     if n_left >= 4 and has1:
-        g = (work[_D + LEFT - 2] + work[_D + LEFT - 3]) + work[_D + LEFT - 4]
+        g = (work[D + LEFT - 2] + work[D + LEFT - 3]) + work[D + LEFT - 4]
         v = (value1[i - 1] + value1[i - 2]) + (value1[i - 3] + value1[i - 4])
         mu[6] = w1 + (up + (g - v) * np.float32(0.25))
     mu[7] = w1 + plane_up
@@ -303,14 +188,14 @@ def point_features(
     per_w = quotient / (base * base) * _UNIT  # counts fall by quotient / base^2 per unit of w
     o = PREDICTORS - 1
     for k in range(LEFT):
-        r = (work[_D + k] - (plane_tight + slope_u * work[_U + k])) * per_w
-        x[o + k] = r if work[_P + k] > _ZERO else _ZERO
+        r = (work[D + k] - (plane_tight + slope_u * work[U + k])) * per_w
+        x[o + k] = r if work[P + k] > _ZERO else _ZERO
     for k in range(LEFT, LEFT + UPPER):
-        r = (work[_D + k] - ((plane_tight + slope_v) + slope_u * work[_U + k])) * per_w
-        x[o + k] = r if work[_P + k] > _ZERO else _ZERO
+        r = (work[D + k] - ((plane_tight + slope_v) + slope_u * work[U + k])) * per_w
+        x[o + k] = r if work[P + k] > _ZERO else _ZERO
     for k in range(LEFT + UPPER, SLOTS):
-        r = (work[_D + k] - ((plane_tight + slope_v * height2) + slope_u * work[_U + k])) * per_w
-        x[o + k] = r if work[_P + k] > _ZERO else _ZERO
+        r = (work[D + k] - ((plane_tight + slope_v * height2) + slope_u * work[U + k])) * per_w
+        x[o + k] = r if work[P + k] > _ZERO else _ZERO
     o += SLOTS
     x[o] = slope_u * per_w
     x[o + 1] = slope_v * per_w

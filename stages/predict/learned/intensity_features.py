@@ -10,12 +10,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.features import LIMIT, PAD, SCALE, squash
+from salpcc.stages.predict.learned.features import LIMIT, SCALE, squash
+from salpcc.stages.predict.learned.ring_rows import PAD
 
 LEFT, UPPER, SECOND, RIGHT, BELOW = 6, 8, 4, 3, 4
 SLOTS = LEFT + UPPER + SECOND
 INPUTS = 56
-VALUES = 101
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _UNIT = np.float32(1.0 / 16.0)

@@ -11,69 +11,31 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.predict.learned.features import PAD, align
-from salpcc.stages.predict.learned.intensity_features import INPUTS, SLOTS, VALUES, intensity_features
+from salpcc.stages.predict.learned.intensity_features import INPUTS, SLOTS, intensity_features
 from salpcc.stages.predict.learned.network import Network, forward
 from salpcc.stages.predict.learned.previous_features import INTENSITY_INPUTS, gather, previous_intensity
 from salpcc.stages.predict.learned.previous_features import SLOTS as SEEN
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
-from salpcc.stages.predict.learned.sweep_walk import laser_constants, longest_ring
+from salpcc.stages.predict.learned.ring_rows import PAD, align, place_rings
+from salpcc.stages.predict.learned.sweep_walk import laser_constants
+from salpcc.stages.predict.learned.value_intervals import (
+    BITS,
+    OUTPUTS,
+    VALUES,
+    find_value,
+    frequencies,
+    value_start,
+)
 from salpcc.stages.residual_code.range_coder import (
     decode_interval,
     decode_target,
     start_decoder,
 )
 
-BITS = 24
-OUTPUTS = 104  # 101 values, padded
 PREDICT, DECODE, COLLECT = 0, 1, 2
 _NO_INTERVALS = np.zeros((0, 2), np.uint32)
-_ONE, _ZERO = np.float32(1.0), np.float32(0.0)
-_FINE = np.float32(16384.0)
-_LINK = np.float32(1.0 / 16.0)
 _NO_KEEP = np.zeros(0, np.bool_)
 _NO_ROWS = (np.zeros((0, 0), np.int16), np.zeros((0, 0), np.uint8))
-
-
-@njit(cache=True, error_model="numpy")
-def place_rings(starts, tick, level, step, constants):  # type: ignore[no-untyped-def]
-    """Azimuths and inverse ranges of all rings, each at ``[PAD, PAD + n)`` of its row, margins cyclic."""
-    n_rings = len(starts) - 1
-    size = longest_ring(starts) + 2 * PAD
-    azimuth = np.zeros((n_rings, size), np.float32)
-    inverse = np.ones((n_rings, size), np.float32)
-    middle = np.float32((step - 1) * 0.5)
-    for k in range(n_rings):
-        lo = starts[k]
-        m = starts[k + 1] - lo
-        for i in range(m):
-            azimuth[k, PAD + i] = np.float32(tick[lo + i]) + constants[k, 3]
-            distance = np.float32(level[lo + i] * step) + middle + constants[k, 1]
-            inverse[k, PAD + i] = constants[k, 0] / max(distance, _ONE)
-        if m:
-            for p in range(PAD):
-                left, right = PAD + m - 1 - p % m, PAD + p % m
-                turns = np.float32(4000.0) * np.float32(1 + p // m)
-                azimuth[k, PAD - 1 - p] = azimuth[k, left] - turns
-                inverse[k, PAD - 1 - p] = inverse[k, left]
-                azimuth[k, PAD + m + p] = azimuth[k, right] + turns
-                inverse[k, PAD + m + p] = inverse[k, right]
-    return azimuth, inverse
-
-
-@njit(cache=True, error_model="numpy")
-def frequencies(out, freq):  # type: ignore[no-untyped-def]
-    """Turn logits into integer frequencies, each at least 1: (1 + l / 16)^16 stands in for exp(l)."""
-    largest = out[0]
-    for v in range(1, VALUES):
-        largest = max(largest, out[v])
-    for v in range(VALUES):
-        p = max(_ONE + (out[v] - largest) * _LINK, _ZERO)
-        p = p * p
-        p = p * p
-        p = p * p
-        p = p * p
-        freq[v] = np.int32(p * _FINE) + np.int32(1)
 
 
 @njit(cache=True, error_model="numpy")
@@ -93,12 +55,8 @@ def walk(  # type: ignore[no-untyped-def]
         indices = np.zeros((3, size), np.int32)
         slot, seen = np.zeros((4, SEEN), np.float32), np.zeros(SEEN, np.float32)
     values = np.zeros((3, size), np.float32)
-    frame1, frame2, frame3 = (
-        np.zeros(size, np.float32),
-        np.zeros(size, np.float32),
-        np.zeros(size, np.float32),
-    )
-    index1, index2, index3 = np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros(size, np.int32)
+    near, places_of = np.zeros((3, size), np.float32), np.zeros((3, size), np.int32)
+    count = np.zeros(3, np.int64)
     unused = np.zeros(size, np.float32)
     x = np.zeros(inputs, np.float32)
     work = np.zeros(3 * SLOTS, np.float32)
@@ -116,45 +74,15 @@ def walk(  # type: ignore[no-untyped-def]
         if m == 0:
             continue
         up, second, down = max(k - 1, 0), max(k - 2, 0), min(k + 1, n_rings - 1)
-        n1 = starts[k] - starts[up]
-        n2 = starts[up] - starts[second]
-        n3 = starts[down + 1] - starts[down] if down > k else 0
-        if n1 > 0:
-            align(
-                azimuth[up],
-                inverse[up],
-                n1,
-                constants[up, 4] - constants[k, 4],
-                azimuth[k],
-                m,
-                frame1,
-                index1,
-                unused,
-            )
-        if n2 > 0:
-            align(
-                azimuth[second],
-                inverse[second],
-                n2,
-                constants[second, 4] - constants[k, 4],
-                azimuth[k],
-                m,
-                frame2,
-                index2,
-                unused,
-            )
-        if n3 > 0:
-            align(
-                azimuth[down],
-                inverse[down],
-                n3,
-                constants[down, 4] - constants[k, 4],
-                azimuth[k],
-                m,
-                frame3,
-                index3,
-                unused,
-            )
+        count[0] = starts[k] - starts[up]
+        count[1] = starts[up] - starts[second]
+        count[2] = starts[down + 1] - starts[down] if down > k else 0
+        for r, ring in enumerate((up, second, down)):
+            if count[r] > 0:
+                align(
+                    azimuth[ring], inverse[ring], count[r], constants[ring, 4] - constants[k, 4],
+                    azimuth[k], m, near[r], places_of[r], unused,
+                )  # fmt: skip
         current, upper, other = values[k % 3], values[(k + 2) % 3], values[(k + 1) % 3]
         q = constants[k, 0]
         activity = np.float32(3.0)
@@ -170,8 +98,8 @@ def walk(  # type: ignore[no-untyped-def]
                     )  # fmt: skip
         for i in range(m):
             left, above, mean = intensity_features(
-                i, m, places, here, current, n1 > 0, frame1, above1, upper, index1,
-                n2 > 0, above2, other, index2, n3 > 0, below, index3, q, activity, x, work,
+                i, m, places, here, current, count[0] > 0, near[0], above1, upper, places_of[0],
+                count[1] > 0, above2, other, places_of[1], count[2] > 0, below, places_of[2], q, activity, x, work,
             )  # fmt: skip
             if before is not None:
                 gather(
@@ -202,18 +130,9 @@ def walk(  # type: ignore[no-untyped-def]
                     total += freq[v]
                 if mode == PREDICT:
                     value = int(intensity[lo + i])
-                    cum = 0
-                    for v in range(value):
-                        cum += freq[v]
+                    cum = value_start(freq, value)
                 else:
-                    # The largest cumulative count whose scaled start is not after the target.
-                    target = decode_target(state, BITS)
-                    wanted = (((target + 1) * total + (1 << BITS) - 1) >> BITS) - 1
-                    cum = 0
-                    value = 0
-                    while value < VALUES - 1 and cum + freq[value] <= wanted:
-                        cum += freq[value]
-                        value += 1
+                    value, cum = find_value(freq, total, decode_target(state, BITS))
                 low = (cum << BITS) // total
                 high = ((cum + freq[value]) << BITS) // total
                 if mode == PREDICT:

@@ -21,7 +21,7 @@ from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import TWO_PI, arctan2, sin_cos
 from salpcc.stages.ingest.untwist import inverse, moved, twist
 from salpcc.stages.predict.hundredths import intensity_levels
-from salpcc.stages.predict.learned.features import PAD
+from salpcc.stages.predict.learned.ring_rows import PAD
 from salpcc.stages.predict.learned.sweep_walk import TICKS
 
 UNKNOWN_INTENSITY = 25

@@ -11,22 +11,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.predict.learned.features import (
-    INPUTS,
-    PAD,
-    PREDICTORS,
-    WORK,
-    align,
-    close_ring,
-    note_errors,
-    point_features,
-)
+from salpcc.stages.predict.learned.features import INPUTS, PREDICTORS, note_errors, point_features
+from salpcc.stages.predict.learned.local_plane import WORK
 from salpcc.stages.predict.learned.mixture import BITS, SHARED, find_level, level_start, set_mixture
 from salpcc.stages.predict.learned.network import Network, forward
 from salpcc.stages.predict.learned.previous_features import INPUTS as PREVIOUS_INPUTS
 from salpcc.stages.predict.learned.previous_features import PREDICTORS as PREVIOUS_PREDICTORS
 from salpcc.stages.predict.learned.previous_features import SLOTS, gather, previous_features
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
+from salpcc.stages.predict.learned.ring_rows import PAD, align, close_ring
 from salpcc.stages.predict.learned.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
 from salpcc.stages.residual_code.range_coder import (
     decode_interval,

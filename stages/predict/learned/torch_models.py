@@ -13,9 +13,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from salpcc.stages.predict.learned.features import LIMIT, SCALE
-from salpcc.stages.predict.learned.intensity_features import VALUES
-from salpcc.stages.predict.learned.intensity_model import OUTPUTS
 from salpcc.stages.predict.learned.mixture import BITS, SHARED
+from salpcc.stages.predict.learned.value_intervals import OUTPUTS, VALUES
 
 if TYPE_CHECKING:
     from salpcc.stages.predict.learned.train import Recipe, Rows
@@ -86,7 +85,7 @@ class IntensityNet(_Perceptron):
         nn.init.zeros_(self.last_table.weight)
 
     def bits(self, rows: dict[str, Tensor]) -> Tensor:
-        """Mean code length in bits; the link is that of ``intensity_model.frequencies``."""
+        """Mean code length in bits; the link is that of ``value_intervals.frequencies``."""
         index = (rows["laser"], *rows["side"].unbind(1))
         out = self.outputs(rows["x"], index) + self.last_table(rows["laser"])
         out = out[:, :VALUES]

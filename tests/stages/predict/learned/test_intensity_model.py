@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.predict.learned.intensity_model import decode_intensity, frequencies, predict_intensity
+from salpcc.stages.predict.learned.intensity_model import decode_intensity, predict_intensity
 from salpcc.stages.predict.learned.models import EFFORTS, load_models
+from salpcc.stages.predict.learned.value_intervals import frequencies
 
 from .conftest import Returns, coded
 

@@ -1,0 +1,102 @@
+"""Rings as rows with cyclic margins, and one ring moved into the tick frame of another.
+
+The lever arm of SENSOR_LATTICE.md, section 1, shifts what a laser sees at a given tick, so a coded ring is
+moved before the returns of another laser are predicted from it. Arithmetic as in :mod:`.features`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.predict.learned.sweep_walk import longest_ring
+
+PAD = 8  # returns of a margin
+
+_TICKS = np.float32(4000.0)
+_TICKS_PER_RADIAN = np.float32(636.6197723675814)
+_EDGE, _SPAN = np.float32(0.06), np.float32(16.0)
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
+
+
+@njit(cache=True, error_model="numpy")
+def place_rings(starts, tick, level, step, constants):  # type: ignore[no-untyped-def]
+    """Azimuths and inverse ranges of all rings, each at ``[PAD, PAD + n)`` of its row, margins cyclic."""
+    n_rings = len(starts) - 1
+    size = longest_ring(starts) + 2 * PAD
+    azimuth = np.zeros((n_rings, size), np.float32)
+    inverse = np.ones((n_rings, size), np.float32)
+    middle = np.float32((step - 1) * 0.5)
+    for k in range(n_rings):
+        lo = starts[k]
+        m = starts[k + 1] - lo
+        for i in range(m):
+            azimuth[k, PAD + i] = np.float32(tick[lo + i]) + constants[k, 3]
+            distance = np.float32(level[lo + i] * step) + middle + constants[k, 1]
+            inverse[k, PAD + i] = constants[k, 0] / max(distance, _ONE)
+        if m:
+            for p in range(PAD):
+                left, right = PAD + m - 1 - p % m, PAD + p % m
+                turns = np.float32(4000.0) * np.float32(1 + p // m)
+                azimuth[k, PAD - 1 - p] = azimuth[k, left] - turns
+                inverse[k, PAD - 1 - p] = inverse[k, left]
+                azimuth[k, PAD + m + p] = azimuth[k, right] + turns
+                inverse[k, PAD + m + p] = inverse[k, right]
+    return azimuth, inverse
+
+
+@njit(cache=True, error_model="numpy")
+def close_ring(azimuth: F32, inverse: F32, error: F32, n: int) -> None:
+    """Fill the cyclic margins of a coded ring that stands at ``[PAD, PAD + n)``; n at least 1."""
+    for p in range(PAD):
+        left = PAD + n - 1 - p % n
+        right = PAD + p % n
+        turns = np.float32(1 + p // n) * _TICKS
+        azimuth[PAD - 1 - p] = azimuth[left] - turns
+        inverse[PAD - 1 - p] = inverse[left]
+        azimuth[PAD + n + p] = azimuth[right] + turns
+        inverse[PAD + n + p] = inverse[right]
+        error[PAD - 1 - p] = error[PAD]
+        error[PAD + n + p] = error[PAD + n - 1]
+
+
+@njit(cache=True, error_model="numpy")
+def align(
+    azimuth: F32,
+    inverse: F32,
+    n: int,
+    lever: np.float32,
+    current: F32,
+    m: int,
+    frame: F32,
+    index: I32,
+    value: F32,
+) -> None:
+    """Move a coded ring into the frame of the current one and interpolate it at the current azimuths.
+
+    ``lever`` is the difference of the two lever arms in metres. Fills ``frame`` (azimuths of the ring,
+    margins included), and for each of the ``m`` current azimuths ``index`` (the last return of the
+    ring not after it) and ``value`` (inverse range there: linear, or the nearer one across an edge).
+    """
+    shift = lever * _TICKS_PER_RADIAN
+    for i in range(n + 2 * PAD):
+        frame[i] = azimuth[i] + shift * inverse[i]
+    j = PAD - 1
+    last = PAD + n - 1
+    for i in range(m):
+        a = current[PAD + i]
+        while j < last and frame[j + 1] <= a:
+            j += 1
+        index[i] = j
+        span = frame[j + 1] - frame[j]
+        t = (a - frame[j]) / span if span > _ZERO else _ZERO
+        t = min(max(t, _ZERO), _ONE)
+        difference = inverse[j + 1] - inverse[j]
+        if abs(difference) > _EDGE * inverse[j] or span > _SPAN:
+            value[i] = inverse[j + 1] if t > _HALF else inverse[j]
+        else:
+            value[i] = inverse[j] + t * difference
