@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
 from salpcc.stages.predict.grid_neighbours import BEFORE, GUESSES, guess
-from salpcc.stages.residual_code.mixing import code_bit, code_mixed_bit, logistic, odds
+from salpcc.stages.residual_code.grid_mixture import below, mix_guesses, share_beyond
+from salpcc.stages.residual_code.mixing import code_bit, code_mixed_bit, odds
 
 _NODES = 64
 _CLASSES = 24  # distances below 2 ** 24
@@ -54,76 +55,6 @@ def _signed(x: float) -> int:
     """0 to 20: sign and logarithm."""
     k = _bucket(abs(x) * 0.5, 2.0, 10)
     return 10 + k if x > 0.0 else 10 - k
-
-
-@njit(cache=True, error_model="numpy")
-def _below(
-    x: float, mean: NDArray[np.float64], per: NDArray[np.float64], weight: NDArray[np.float64]
-) -> float:
-    """Distribution function of the mixture."""
-    total = 0.0
-    for k in range(GUESSES + 1):
-        total += weight[k] * logistic((x - mean[k]) * per[k])
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def _mixture(
-    guesses: NDArray[np.float64],
-    known: NDArray[np.float64],
-    errors: NDArray[np.float32],
-    running: NDArray[np.float64],
-    row: int,
-    column: int,
-    up_row: int,
-    before: NDArray[np.int64],
-    n_before: int,
-    mean: NDArray[np.float64],
-    per: NDArray[np.float64],
-    weight: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Make the mixture at a cell; returns how far off it should be, and how far apart the guesses are."""
-    total, blend = 0.0, 0.0
-    for k in range(GUESSES):
-        off, count = 0.9 * running[k], 0.9
-        if n_before > 0:
-            off += errors[row, before[0], k]
-            count += 1.0
-        if n_before > 1:
-            off += 0.5 * errors[row, before[1], k]
-            count += 0.5
-        if up_row >= 0:
-            for c in range(max(column - 1, 0), min(column + 3, COLUMNS)):
-                if known[up_row, c] > 0.0:
-                    share = 0.4 if c == column else 0.3
-                    off += share * errors[up_row, c, k]
-                    count += share
-        off = off / count + 1.3
-        trust = 1.0 / (off * off * off)
-        total += trust
-        blend += trust * guesses[k]
-        weight[k] = trust
-        per[k] = off
-        mean[k] = 1.0 / guesses[k]
-    middle = total / blend
-    spread, apart = 0.0, 0.0
-    for k in range(GUESSES):
-        weight[k] = weight[k] / total
-        spread += weight[k] * per[k]
-        apart += weight[k] * abs(mean[k] - middle)
-        weight[k] = weight[k] * 0.9
-        per[k] = 2.6 / per[k]
-    mean[GUESSES] = middle
-    per[GUESSES] = 2.4 / (spread + 0.375 * apart)
-    weight[GUESSES] = 0.1
-    return spread, apart
-
-
-@njit(cache=True, error_model="numpy")
-def _share(from_: float, to: float, cut: float) -> float:
-    """Share of the mass between two values of the distribution function that lies beyond the cut."""
-    whole = abs(to - from_)
-    return abs(to - cut) / whole if whole > 1e-12 else 0.5
 
 
 @njit(cache=True, error_model="numpy")
@@ -174,7 +105,7 @@ def code_levels(
             guess(
                 guesses, known, frame, plane, row, column, up_row, up2_row, before, n_before, slopes[row]
             )  # fmt: skip
-            spread, apart = _mixture(
+            spread, apart = mix_guesses(
                 guesses, known, errors, running, row, column, up_row, before, n_before, mean, per, weight
             )  # fmt: skip
             middle = mean[GUESSES]
@@ -196,7 +127,7 @@ def code_levels(
                 base[q] = _FIRST[q] + base[q] * _NODES
 
             value = np.int64(level[row, column])
-            inner = _below(centre + 0.5, mean, per, weight)
+            inner = below(centre + 0.5, mean, per, weight)
             outer = 1.0
             opinions[0] = odds(1.0 - inner)
             bit = 1 if value > centre else 0
@@ -214,8 +145,8 @@ def code_levels(
                 edge = centre + 0.5 + sign * ((2 << size) - 1)
                 if edge < 0.5:
                     break
-                beyond = _below(edge, mean, per, weight)
-                opinions[0] = odds(_share(inner, outer, beyond))
+                beyond = below(edge, mean, per, weight)
+                opinions[0] = odds(share_beyond(inner, outer, beyond))
                 node = 1 + side * _CLASSES + min(size, _CLASSES - 1)
                 places[:] = base + node
                 bit = code_mixed_bit(
@@ -230,8 +161,8 @@ def code_levels(
             low = 1 << size
             for q in range(size - 1, -1, -1):
                 cut = low + (1 << q)
-                beyond = _below(centre + 0.5 + sign * (cut - 1), mean, per, weight)
-                p = _share(inner, outer, beyond)
+                beyond = below(centre + 0.5 + sign * (cut - 1), mean, per, weight)
+                p = share_beyond(inner, outer, beyond)
                 bit = 1 if distance >= cut else 0
                 if q == size - 1:
                     opinions[0] = odds(p)
