@@ -16,6 +16,7 @@ from salpcc.stages.evaluate.baseline_figures import baseline_figures, bd_rates
 from salpcc.stages.evaluate.downstream import ablation_figures, coder_figures, registration_figures
 from salpcc.stages.evaluate.machine import describe_machine
 from salpcc.stages.evaluate.record import recorded, recorded_run
+from salpcc.stages.evaluate.savings import add_savings
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
 REPORT_VERSION = 2
@@ -31,6 +32,7 @@ def collect(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
     baselines = next((t for t in (recorded(f, "baselines") for f in folders) if t.num_rows), None)
     report = run_figures(out)
     others = [{"config": recorded_run(f).get("config", {}), **run_figures(f)} for f in beside]
+    add_savings(report, recorded_run(out).get("config", {}), others)
     if baselines is not None:
         first = {name: f for run in (*reversed(others), report) for name, f in run["sequences"].items()}
         for name, sequence in first.items():

@@ -80,6 +80,10 @@ def headline(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     else:
         claims.append(("not proven", "no source to compare with, or no correspondence found"))
     claims.append((f"{total['points_lost']:,}", f"points lost of {total['points_in']:,}"))
+    if total.get("bytes_saved") is not None:
+        how = "" if total["savings_measured"] else " (estimated)"
+        dropped = f"saved by leaving out {total['points_dropped_movable']:,} movable points{how}"
+        claims.append((f"{total['bytes_saved'] / 1e3:,.0f} kB", dropped))
     if total["encode_ms_per_scan"] is not None:
         claims.append((f"{total['encode_ms_per_scan']:.0f} ms", "CPU to encode a scan"))
     if total["decode_ms_per_scan"] is not None:

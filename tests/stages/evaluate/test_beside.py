@@ -166,3 +166,28 @@ def test_records_of_other_commands_are_summed_up_and_shown(runs: tuple[Path, Pat
     page = (out / "report" / "index.html").read_text()
     assert "Maps, before and after (Fig. 10)" in page and "Lossless coders (Fig. 8)" in page
     assert "--profile paper" not in page and "--baselines all" in page  # what is missing, and how to make it
+
+
+def test_what_dropping_saves_is_measured_where_a_run_kept_everything(
+    runs: tuple[Path, Path], street: Street, payload_rows: Callable[..., pa.Table], tmp_path: Path
+) -> None:
+    out, paper = runs
+    estimated = report.build(out, [paper])["sequences"]["04"]
+    dropped, points = estimated["points_dropped_movable"], estimated["points_in"]
+    assert dropped and estimated["bytes_saved"] == round(1600 * dropped / (points - dropped))
+    assert [(row["how"], row["bytes_coded"]) for row in table(out, "savings")] == [("estimated", 1600)] * 2
+
+    scan = street("000000")
+    keep = tmp_path / "keep"
+    sizes = payload_rows([scan], [scan])
+    sizes = sizes.set_column(sizes.column_names.index("geometry"), "geometry", pa.array([1250]))
+    metrics = stage.run([scan], [scan], sizes, sequence="04", gop=0)
+    record(keep, {"config": {"keep_movable": True}}, metrics=metrics)
+    built = report.build(out, [paper, keep])
+    assert built["total"]["bytes_saved"] == 250 and built["total"]["savings_measured"]
+    assert table(out, "savings")[0]["share_saved"] == pytest.approx(100 * 250 / 1850)
+    assert "saved by leaving out" in (out / "report" / "index.html").read_text()
+    # Another error, or other scans, are no measure of this run.
+    record(keep, {"config": {"keep_movable": True, "max_error": 0.01}})
+    assert not report.build(out, [keep])["total"]["savings_measured"]
+    assert "bytes_saved" not in report.build(keep)["total"]
