@@ -51,26 +51,37 @@ class Segmentation:
         return classes_of_points(self.image, self.classes(), points)
 
 
-def segment_scan(network: SegmentNetwork, points: F32, intensity: F32, device: str = "cpu") -> Segmentation:
+def class_scores(
+    network: SegmentNetwork, points: F32, intensity: F32, device: str = "cpu"
+) -> tuple[RangeImage, F32]:
     """Run the network on points ``(N, 3)`` and intensities ``(N,)`` of one scan, of any sensor.
 
-    On one thread, so that a scan gets the same labels however many workers there are.
+    Returns the range image and the probability ``(19, 64, W)`` of each class, as trained. On one thread, so that a
+    scan gets the same labels however many workers there are.
     """
     image = project(points, intensity)
-    seen = image.index >= 0
-    if not seen.any():
-        groups = np.zeros((len(GROUPS), *seen.shape), np.float32)
-        return Segmentation(image, groups, groups.astype(np.uint8))
+    if not (image.index >= 0).any():
+        return image, np.full((N_CLASSES, *image.index.shape), 1.0 / N_CLASSES, np.float32)
     config = network.config
     features, sets = stack([network_input(image.planes, config.fold, config.n_points, circular=True)])
     features, sets = _with_seam(features, sets, config.fold)
     with torch.inference_mode(), _one_thread():
         logits = network(features.to(device), sets.to(device))[..., SEAM:-SEAM]
-        scores = as_in_streets(torch.softmax(logits[0].float(), 0).cpu().numpy())
+        return image, torch.softmax(logits[0].float(), 0).cpu().numpy()
+
+
+def by_group(image: RangeImage, scores: F32) -> Segmentation:
+    """Sum the probabilities ``(19, 64, W)`` of an image's classes up to groups."""
     groups = np.stack([scores[members - 1].sum(axis=0) for members in _MEMBERS])
     best = np.stack([members[scores[members - 1].argmax(axis=0)] for members in _MEMBERS])
     # Rounded, so that the last bits of a processor's arithmetic decide nothing.
-    return Segmentation(image, np.rint(groups * 4096) / 4096 * seen, best.astype(np.uint8))
+    return Segmentation(image, np.rint(groups * 4096) / 4096 * (image.index >= 0), best.astype(np.uint8))
+
+
+def segment_scan(network: SegmentNetwork, points: F32, intensity: F32, device: str = "cpu") -> Segmentation:
+    """Segment one scan, its classes weighed as they occur in streets."""
+    image, scores = class_scores(network, points, intensity, device)
+    return by_group(image, as_in_streets(scores))
 
 
 def label_points(

@@ -107,12 +107,15 @@ def _ask(
             through[i] += 1
 
 
-def agree(found: Sequence[Segmentation], motions: Sequence[F64 | None]) -> list[Segmentation]:
+def agree(
+    found: Sequence[Segmentation], motions: Sequence[F64 | None], free_space: bool = True
+) -> list[Segmentation]:
     """Let the scans of a group settle what each pixel is.
 
     Args:
         found: what the network says of each scan, in order of time.
         motions: ``(6,)`` of each scan, or None where it is not known (nothing is asked across it).
+        free_space: whether what neighbours looked through counts.
     """
     sensor = load_sensor("hdl64e")
     tangent = np.tan(sensor.theta)
@@ -133,8 +136,9 @@ def agree(found: Sequence[Segmentation], motions: Sequence[F64 | None]) -> list[
             _ask(moved, row, other.image.planes, other.groups, _NEIGHBOUR_WEIGHT, total, through)
         groups = own.groups.copy()
         groups[:, seen] = total[:-1] / total[-1]
-        gone = np.zeros(seen.shape, np.bool_)
-        gone[seen] = (through >= _LOOKS) & (own.image.planes[HEIGHT, seen] > _ABOVE)
-        groups[MOVABLE, gone] += _THROUGH_WEIGHT
+        if free_space:
+            gone = np.zeros(seen.shape, np.bool_)
+            gone[seen] = (through >= _LOOKS) & (own.image.planes[HEIGHT, seen] > _ABOVE)
+            groups[MOVABLE, gone] += _THROUGH_WEIGHT
         settled.append(replace(own, groups=groups))
     return settled

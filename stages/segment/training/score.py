@@ -43,7 +43,7 @@ def group_scores(counts: NDArray[np.int64], with_terrain: bool) -> dict[str, flo
 
 
 def scores(counts: NDArray[np.int64]) -> dict[str, float]:
-    """Sum up class counts: ``movable``, ``ground``, ``other`` (terrain left out), the same with terrain, recall, mIoUs."""
+    """Sum up class counts: ``movable``, ``ground``, ``other`` (terrain left out), the same with terrain, recall, precision, mIoUs."""
     without, whole = group_scores(counts, False), group_scores(counts, True)
     movable = GROUP_OF_CLASS == MOVABLE
     by_class = intersection_over_union(counts, [c.name for c in CLASSES])
@@ -55,6 +55,7 @@ def scores(counts: NDArray[np.int64]) -> dict[str, float]:
         "ground_with_terrain": whole.get("ground", float("nan")),
         "other_with_terrain": whole.get("other", float("nan")),
         "recall_movable": float(counts[movable][:, movable].sum() / max(counts[movable].sum(), 1)),
+        "precision_movable": float(counts[movable][:, movable].sum() / max(counts[:, movable].sum(), 1)),
         "miou": mean_iou({k: v for k, v in by_class.items() if k != "unlabelled"}) or float("nan"),
         "miou_12": mean_iou(twelve) or float("nan"),
     }
