@@ -1,10 +1,12 @@
-"""Fill the tables of README.md from what was measured: ``python scripts/readme_figures.py OUT… --bench BENCH.json``.
+"""Fill the tables and plots of README.md from what was measured: ``python scripts/readme_figures.py OUT… --bench BENCH.json``.
 
 A table stands between ``<!-- figures:begin NAME -->`` and ``<!-- figures:end -->``, where NAME is ``summary``, any table
 of the report in OUT (``sequences``, ``times``, ``table1``, ``groups``, ``baselines``, ``bd_rate``, ``table2`` to ``table5``,
 ``fig8``, ``map``, ``ablation1`` …), or ``bench``, which ``python -m salpcc.stages.evaluate.bench --json BENCH.json`` measures.
-With several OUTs a table comes from the first that has it. Nothing between the markers is ever typed. With ``--check`` the file is left alone and the exit code is 1 where it
-differs. Blocks of a source that is not named are left alone.
+A plot's NAME is its title in lower case with ``_`` for spaces (``rate_against_the_promised_error``); it is written to ``docs/``
+beside the README. With several OUTs a block comes from the first that has it. Nothing between the markers is ever typed.
+With ``--check`` no file is changed and the exit code is 1 where one differs. Blocks of a source that is not named are left
+alone.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from salpcc.stages.evaluate.layout.comparison_plots import comparison_plots
 from salpcc.stages.evaluate.layout.report_tables import all_tables, summary_table
 from salpcc.stages.evaluate.layout.tables import Column, Table
 
@@ -34,6 +37,7 @@ def fill(text: str, reports: Sequence[Mapping[str, Any]], bench: Mapping[str, An
     for report in reversed(reports):
         for table in [summary_table(report), *all_tables(report)]:
             tables[table.name] = f"{table.to_markdown()}\n\n{table.note} {provenance(report)}"
+    tables |= {name: shown for name, (shown, _) in plots(reports).items()}
     if bench is not None:
         tables[BENCH] = bench_table(bench)
         if BENCH not in {match[2] for match in BLOCK.finditer(text)}:
@@ -45,9 +49,22 @@ def fill(text: str, reports: Sequence[Mapping[str, Any]], bench: Mapping[str, An
             return f"{match[1]}\n{tables[name]}\n\n{match[3]}"
         if not (bench if name == BENCH else reports):
             return match[0]
-        raise ValueError(f"no report has a table {name!r}, only {', '.join(sorted(tables))}")
+        raise ValueError(f"no report has a table or plot {name!r}, only {', '.join(sorted(tables))}")
 
     return BLOCK.sub(block, text)
+
+
+def plots(reports: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, str]]:
+    """Return by name what stands in the README for each plot, and its SVG."""
+    found: dict[str, tuple[str, str]] = {}
+    for report in reversed(reports):
+        for plot in comparison_plots(report):
+            name = plot.title.lower().replace(" ", "_")
+            link = f"![{plot.title}](docs/{name}.svg)"
+            # On a page of its own it needs a size, and a ground that its dark text can be read on.
+            svg = plot.svg.replace("<svg ", '<svg width="640" style="background: #fff" ', 1)
+            found[name] = f"{link}\n\n{plot.caption} {provenance(report)}", svg
+    return found
 
 
 def provenance(report: Mapping[str, Any]) -> str:
@@ -105,9 +122,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"readme_figures: {error}", file=sys.stderr)
         return 2
+    docs = asked.readme.parent / "docs"
+    used = {match[2] for match in BLOCK.finditer(after)}
+    files = {docs / f"{name}.svg": svg for name, (_, svg) in plots(reports).items() if name in used}
+    files[asked.readme] = after
     if asked.check:
-        return int(after != before)
-    asked.readme.write_text(after, encoding="utf-8")
+        return int(any(not path.is_file() or path.read_text() != new for path, new in files.items()))
+    for path, new in files.items():
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(new, encoding="utf-8")
     return 0
 
 

@@ -7,12 +7,16 @@ import json
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pyarrow as pa
 import pytest
 
+from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate import report
+from salpcc.stages.evaluate.baselines import BASELINES as CODECS
+from salpcc.stages.evaluate.baselines.measure import measure
 from salpcc.stages.evaluate.record import record
-from salpcc.stages.evaluate.schema import METRICS
+from salpcc.stages.evaluate.schema import BASELINES, METRICS
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "readme_figures.py"
 
@@ -30,7 +34,15 @@ def script() -> ModuleType:
 def out(tmp_path: Path) -> Path:
     counts = {f.name: 0 for f in METRICS if pa.types.is_integer(f.type)}
     row = counts | {"sequence": "00", "name": "000000", "points_in": 1000, "bytes_geometry": 875}
-    record(tmp_path, {"command": ["run", "it"]}, metrics=pa.Table.from_pylist([row], schema=METRICS))
+    cloud = np.random.default_rng(0).uniform(-20, 20, (1000, 3)).astype(np.float32)
+    scan = Scan("000000", cloud, np.zeros(1000, np.float32))
+    coded = measure("laszip", CODECS["laszip"], [scan], "00", 0.01)
+    record(
+        tmp_path,
+        {"command": ["run", "it"]},
+        metrics=pa.Table.from_pylist([row], schema=METRICS),
+        baselines=pa.Table.from_pylist(coded, schema=BASELINES),
+    )
     report.build(tmp_path)
     return tmp_path
 
@@ -54,7 +66,18 @@ def test_figures_that_were_typed_are_noticed(script: ModuleType, out: Path, tmp_
     assert script.main([str(out), "--readme", str(readme), "--check"]) == 1
 
 
+def test_a_plot_is_drawn_beside_the_readme(script: ModuleType, out: Path, tmp_path: Path) -> None:
+    readme, name = tmp_path / "README.md", "rate_against_the_promised_error"
+    readme.write_text(f"<!-- figures:begin {name} -->\n<!-- figures:end -->\n")
+    assert script.main([str(out), "--readme", str(readme)]) == 0
+    drawn = tmp_path / "docs" / f"{name}.svg"
+    assert f"](docs/{name}.svg)" in readme.read_text() and "laszip" in drawn.read_text()
+    assert script.main([str(out), "--readme", str(readme), "--check"]) == 0
+    drawn.write_text(drawn.read_text().replace("laszip", "zip"))
+    assert script.main([str(out), "--readme", str(readme), "--check"]) == 1
+
+
 def test_an_unknown_table_is_refused(script: ModuleType, out: Path) -> None:
     figures = json.loads((out / "report" / "report.json").read_text())
-    with pytest.raises(ValueError, match="table 'mood'"):
+    with pytest.raises(ValueError, match="plot 'mood'"):
         script.fill("<!-- figures:begin mood -->\n<!-- figures:end -->", [figures])
