@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
@@ -15,6 +16,9 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 from salpcc.stages.ingest.lattice import unproject
 from salpcc.stages.ingest.order import azimuth_keys
 from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
+
+settings.register_profile("any machine", deadline=None)  # no test may depend on how fast this one is
+settings.load_profile("any machine")
 
 REAL_DATA = Path(os.environ.get("SALPCC_DATA", Path(__file__).parents[2] / "shared" / "data"))
 LABELS = np.array([10, 40, 50, 70, 252], np.uint32)  # car, road, building, vegetation, moving car

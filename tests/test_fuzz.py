@@ -60,7 +60,7 @@ def test_a_reader_that_takes_anything_is_found_out(fuzz: ModuleType, monkeypatch
 
 
 @given(document=JSON, key=st.sampled_from(sorted(SENSOR)))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_any_json_is_a_sensor_model_or_refused(document: object, key: str) -> None:
     for text in (json.dumps(document), json.dumps(SENSOR | {key: document})):
         try:
@@ -71,7 +71,7 @@ def test_any_json_is_a_sensor_model_or_refused(document: object, key: str) -> No
 
 
 @given(document=JSON, key=st.sampled_from(["version", "sources"]))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_any_yaml_is_a_manifest_or_refused(
     document: object, key: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from salpcc.schemas.scan import Scan
@@ -16,7 +16,6 @@ def scan(points: np.ndarray, intensity: np.ndarray | None = None) -> Scan:
     return Scan("000000", points.astype(np.float32), values)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.005, 0.02]))
 def test_every_dropped_subset_is_found_within_the_bound(seed: int, bound: float) -> None:
     rng = np.random.default_rng(seed)

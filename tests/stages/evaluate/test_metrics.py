@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -77,7 +77,6 @@ def test_symmetric_distance_of_nothing() -> None:
     assert symmetric_distance(cloud((NAN, 0, 0), (1, 1, 1)), cloud((1, 1, 1))) == 0.0
 
 
-@settings(deadline=None)
 @given(
     hnp.arrays(np.float32, st.tuples(st.integers(1, 30), st.just(3)), elements=st.floats(-100, 100, width=32))
 )

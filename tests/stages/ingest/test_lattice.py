@@ -1,7 +1,7 @@
 """The lattice and its inverse, and the order of points in a file."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from salpcc.stages.ingest.lattice import correction_code, corrections, project, unproject
@@ -35,7 +35,6 @@ def test_unproject_is_the_formula_of_the_document(sensor) -> None:
     assert np.abs(point[0] - expected).max() < 1e-13
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.lists(st.tuples(*[st.integers(-2, 2)] * 3), min_size=1, max_size=20))
 def test_correction_code(rows) -> None:
     difference = np.array(rows, np.int64)

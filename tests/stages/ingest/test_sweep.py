@@ -67,7 +67,7 @@ def test_spoilt_points_become_strays_and_nothing_else_does(make_scan, sensor, ki
     assert len(sweep.stray_index) <= 60
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(kinds=st.sets(st.sampled_from(SPOILS)), seed=st.integers(0, 1000))
 def test_any_mixture_comes_back(make_scan, sensor, kinds, seed) -> None:
     rng = np.random.default_rng(seed)

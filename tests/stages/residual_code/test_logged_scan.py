@@ -116,7 +116,7 @@ def scan_of(raw: bytes, encoding: str, number: int = 0) -> Scan:
 
 
 pytestmark = pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
-FAST = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+FAST = settings(max_examples=60, suppress_health_check=list(HealthCheck))
 
 
 @FAST
@@ -206,7 +206,7 @@ def test_sizes_are_checked_before_anything_is_allocated() -> None:
             scan_of(bytes(bomb), "cdr")
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_damaged_payloads_are_refused_or_come_back_as_they_are(data: st.DataObject) -> None:
     """The last CRC is made right again, so that what lies below it has to notice."""

@@ -39,7 +39,7 @@ def _decode(data, contexts, cumulative):
 _CUMULATIVE = np.array([0, 1, 2, 60000, 65535, 65536])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 400), st.integers(0, 2**32 - 1), st.floats(0, 1))
 def test_round_trip(n, seed, p):
     rng = np.random.default_rng(seed)

@@ -92,7 +92,7 @@ def test_what_is_no_point_keeps_its_bits(max_error: float) -> None:
     assert size < 12 * 800
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(*[st.floats(width=32)] * 3), max_size=40), st.sampled_from([0.0, 0.001, 0.5]))
 def test_any_floats(rows: list[tuple[float, float, float]], max_error: float) -> None:
     points = np.array(rows, np.float32).reshape(-1, 3)
@@ -102,7 +102,7 @@ def test_any_floats(rows: list[tuple[float, float, float]], max_error: float) ->
     assert (off <= max_error).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.binary(max_size=300), st.integers(1, 200))
 def test_any_bytes_end(data: bytes, n: int) -> None:
     """Damage is for the checksum to find; it must neither crash nor hang the decoder."""

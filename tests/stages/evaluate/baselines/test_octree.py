@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -13,7 +13,6 @@ from salpcc.stages.evaluate.baselines.static_range_coder import decode_bytes, en
 CELLS = hnp.arrays(np.uint64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.integers(0, 2**21 - 1))
 
 
-@settings(deadline=None)
 @given(CELLS)
 def test_morton_codes_interleave_every_bit(cells: np.ndarray) -> None:
     codes = interleave(cells)
@@ -25,7 +24,6 @@ def test_morton_codes_interleave_every_bit(cells: np.ndarray) -> None:
     assert np.array_equal(separate(codes), cells)
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=2000))
 def test_range_coder_round_trip(data: bytes) -> None:
     symbols = np.frombuffer(data, np.uint8)
