@@ -36,7 +36,7 @@ def galleries(metrics: pa.Table, drawn: pa.Table) -> list[Gallery]:
         ),
         Gallery(
             "Segmentation (Fig. 7)",
-            "The first scan of the first sequences: pink is ground, blue is movable, grey is everything else.",
+            "The first scan of the first sequences: pink is ground, blue is movable, grey is everything else, dark grey has no label.",
             _segmentations(metrics),
         ),
     ]
