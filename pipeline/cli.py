@@ -10,8 +10,10 @@ from salpcc.pipeline import cli_archive, cli_data, cli_log, cli_map, cli_run, cl
 from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import SalpccError, UsageError
+from salpcc.schemas.files import unreachable, why
 
 _INTERRUPTED = 130  # typer's exit code for Ctrl-C
+_ON_THIS_MACHINE = ("calibrate", "localise", "map", "simulate", "train")  # others take URLs
 
 app = typer.Typer(
     name="salpcc-pipeline",
@@ -37,8 +39,14 @@ def _version(wanted: bool) -> None:
 
 
 @app.callback()
-def _root(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True)) -> None:
+def _root(
+    context: typer.Context,
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True),
+) -> None:
     """Recorded LiDAR scans in, compact bit-exact archives and a report out; and back again."""
+    for argument in sys.argv if context.invoked_subcommand in _ON_THIS_MACHINE else ():
+        if "://" in argument and not argument.startswith(("tcp:", "tls:")):
+            raise UsageError(f"{context.invoked_subcommand} works in folders; copy {argument} to one first")
 
 
 def main() -> None:
@@ -49,6 +57,10 @@ def main() -> None:
         _fail(str(error), 2)
     except SalpccError as error:
         _fail(str(error), 1)
+    except Exception as error:
+        if not unreachable(error):
+            raise
+        _fail(f"{why(error)}; check the address, and the credentials in the environment", 1)
     except SystemExit as end:
         if end.code == _INTERRUPTED:
             _fail("interrupted; the same command goes on where it stopped", 1)

@@ -12,16 +12,20 @@ from rich.console import Console
 from rich.table import Table
 
 from salpcc.pipeline.archive import Archive
-from salpcc.pipeline.cli_run import parse_frames
+from salpcc.pipeline.cli_run import PLACE, parse_frames
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.inspect import inspect as describe
 from salpcc.pipeline.recover import recover as recover_archive
 from salpcc.pipeline.verify import verify as verify_archive
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sensor_model import load_sensor
 
-Path_ = Annotated[Path, typer.Argument(metavar="ARCHIVE", help="An archive, OUT/archives/SEQ.mcap")]
+Path_ = Annotated[
+    Path,
+    typer.Argument(parser=location, metavar="ARCHIVE", help="An archive, OUT/archives/SEQ.mcap, or its URL"),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout")]
 
 
@@ -38,7 +42,7 @@ def register(app: typer.Typer) -> None:
 def decode(
     archive: Path_,
     to: Annotated[str, typer.Option(help=" | ".join(EXPORTS))],
-    out: Annotated[Path, typer.Option(help="Where the scans are written")],
+    out: Annotated[Path, typer.Option(parser=location, metavar=PLACE, help="Where the scans are written")],
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
 ) -> None:
     """Turn an archive back into scans, bit for bit where it was made so."""
@@ -69,7 +73,8 @@ def _selected(archive: Archive, frames: str | None) -> Iterator[Scan]:
 def verify(
     archive: Path_,
     against: Annotated[
-        Path | None, typer.Option(help="Data root; compares every point with its source")
+        Path | None,
+        typer.Option(parser=location, metavar=PLACE, help="Data root; compares every point with its source"),
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -100,7 +105,10 @@ def _compared(verdict: dict[str, Any]) -> str:
 
 def recover(
     archive: Path_,
-    out: Annotated[Path, typer.Option(help="The new archive; nothing is overwritten")],
+    out: Annotated[
+        Path,
+        typer.Option(parser=location, metavar="FILE|URL", help="The new archive; nothing is overwritten"),
+    ],
     sensor: Annotated[
         str | None, typer.Option(help="Sensor model, where the one in the archive is gone")
     ] = None,
@@ -121,7 +129,10 @@ def recover(
 
 
 def inspect(
-    path: Annotated[Path, typer.Argument(metavar="ARCHIVE|SHARD", help="A .mcap archive or an .arrow shard")],
+    path: Annotated[
+        Path,
+        typer.Argument(parser=location, metavar="ARCHIVE|SHARD", help="A .mcap archive or an .arrow shard"),
+    ],
     json_: Json = False,
 ) -> None:
     """Show what is in an archive or a shard, without decoding it."""

@@ -9,7 +9,7 @@ import typer
 
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import atomic, location
 from salpcc.schemas.manifest import expand_sequences
 
 
@@ -60,9 +60,10 @@ def calibrate(
 
 
 def report(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run")],
+    out: Annotated[Path, typer.Argument(parser=location, metavar="OUT", help="Output folder of a run")],
     beside: Annotated[
-        list[Path] | None, typer.Option(metavar="DIR", help="Show this run or map, too; may be repeated")
+        list[Path] | None,
+        typer.Option(parser=location, metavar="DIR|URL", help="Show this run or map, too; may be repeated"),
     ] = None,
 ) -> None:
     """Rebuild the tables, plots and page of a run from what it measured."""

@@ -31,6 +31,7 @@ from salpcc.pipeline.cli_run import (
 )
 from salpcc.pipeline.run import RunRequest
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import location
 from salpcc.schemas.work import STAGES
 from salpcc.stages.evaluate.baselines import names as baseline_names
 from salpcc.stages.ingest.sources.bag import Bag
@@ -45,7 +46,14 @@ def register(app: typer.Typer) -> None:
 
 
 def log(
-    file: Annotated[Path, typer.Argument(metavar="LOG", help="NAME.mcap, a ROS 1 .bag, a ROS 2 bag folder")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            parser=location,
+            metavar="LOG",
+            help="NAME.mcap, a ROS 1 .bag, a ROS 2 bag folder; MCAP at a URL, too",
+        ),
+    ],
     topic: Annotated[
         list[str] | None, typer.Option(help="Point clouds to code, repeatable [default: all]")
     ] = None,

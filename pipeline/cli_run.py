@@ -21,6 +21,7 @@ from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.schemas.config import UNBOUNDED, Coder, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import location
 from salpcc.schemas.manifest import Manifest, expand_sequences, load_manifest
 from salpcc.schemas.work import STAGES
 from salpcc.stages.evaluate.baselines import names as baseline_names
@@ -28,9 +29,12 @@ from salpcc.stages.ingest.sources import SOURCES
 
 app = typer.Typer(help="Encode recorded scans to archives and report what it cost.", no_args_is_help=True)
 DEFAULT_MANIFEST = Path("data_manifest.yaml")
+PLACE = "DIR|URL"
 
 # Options that `run sequences` and `run log` share.
-Out = Annotated[Path, typer.Option(help="Archives, report and shards go here")]
+Out = Annotated[
+    Path, typer.Option(parser=location, metavar=PLACE, help="Archives, report and shards go here")
+]
 KeepMovable = Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")]
 Weights = Annotated[str, typer.Option(help="Of the network: a shipped width, or a file")]
 EffortLevel = Annotated[Effort, typer.Option(help="How hard to search for fewer bits")]
@@ -55,7 +59,10 @@ def sequences(
         str, typer.Argument(metavar="SEQUENCES", help="04 · 00,04,07 · 11-21 · a split of the manifest")
     ],
     root: Annotated[
-        Path | None, typer.Option(help="Where the data lie [default: the manifest's root]")
+        Path | None,
+        typer.Option(
+            parser=location, metavar=PLACE, help="Where the data lie [default: the manifest's root]"
+        ),
     ] = None,
     out: Out = Path("out"),
     manifest: Annotated[Path, typer.Option(help="Sources, sequences, splits")] = DEFAULT_MANIFEST,
@@ -102,8 +109,8 @@ def sequences(
             raise UsageError(f"--tmc3 {tmc3}: no program there")
         os.environ["SALPCC_TMC3"] = str(tmc3.resolve())  # the workers of this machine inherit it
     entry = _manifest(manifest).sources.get(source)
-    if root is None and entry is not None:
-        root = entry.root
+    if root is None and entry is not None and entry.root:
+        root = location(entry.root)
     if root is None and source != "simulated":
         raise UsageError(
             f"--root is missing: where are the scans? {SOURCES[source].hint}. Or try it without data: --source simulated"

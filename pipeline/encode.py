@@ -10,6 +10,7 @@ from typing import Any
 import pyarrow as pa
 
 from salpcc.schemas.config import RunConfig
+from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import sweeps_to_table
 from salpcc.stages.ground_fit import stage as ground_fit
@@ -39,8 +40,8 @@ def encode_scans(scans: Iterable[Scan], path: str | Path, sequence: str = "scans
     """
     config = resolve(RunConfig(**{"keep_movable": True, **options}))
     facts = ArchiveFacts(sequence, "arrays", "", config.coding, load_sensor(config.sensor))
-    write_archive(Path(path), facts, _gops(iter(scans), config))
-    return Path(path)
+    write_archive(location(path), facts, _gops(iter(scans), config))
+    return location(path)
 
 
 def resolve(config: RunConfig) -> RunConfig:

@@ -28,6 +28,7 @@ from salpcc.pipeline.store import ShardStore
 from salpcc.pipeline.tasks import GopResult, run_stage, source_digest
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError
+from salpcc.schemas.files import unreachable, why
 from salpcc.schemas.work import STAGES, GopSource, ScanError, ShardRef
 
 _COUNT_EVERY = 5.0  # seconds between looks at how many workers there are
@@ -215,6 +216,9 @@ class Graph:
             return future.result()
         except (KilledWorker, SalpccError, *_SCHEDULER_GONE):
             raise
-        except OSError as error:
-            what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        except Exception as error:
+            if not (isinstance(error, OSError) or unreachable(error)):
+                raise
+            name = getattr(error, "filename", None)
+            what = f"{name}: {why(error)}" if name else why(error)
             raise SalpccError(f"{what}; make room or mend it, then run the same command again") from error

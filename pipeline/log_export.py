@@ -6,7 +6,6 @@ open. A ROS 1 log is translated to ROS 2 on the way. ``--to bag`` gives a ROS 1 
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +17,7 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.ros2 import ros2_channel
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import atomic, atomic_file
 from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.schemas.scan import Scan
@@ -70,27 +69,20 @@ def to_bag(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]
     if not archive.log or any(channel.encoding != "ros1" for channel in archive.log.values()):
         raise UsageError(f"--to bag: {archive.sequence} was no ROS 1 bag; use --to mcap")
     path = out / f"{archive.sequence}.bag"
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    out.mkdir(parents=True, exist_ok=True)
-    part.unlink(missing_ok=True)
-    try:
-        with Rosbag1Writer(part) as writer:
-            connections = {}
-            for channel in channels(archive):
-                facts = dict(channel.metadata)
-                connections[channel] = writer.add_connection(
-                    channel.topic,
-                    channel.type.replace("/", "/msg/"),
-                    msgdef=channel.schema.decode(),
-                    md5sum=facts.get("md5sum", "*"),
-                    callerid=facts.get("callerid"),
-                    latching=int(facts["latching"]) if "latching" in facts else None,
-                )
-            for channel, message in messages(archive, scans):
-                writer.write(connections[channel], message.log_time, message.data)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    with atomic_file(path) as part, Rosbag1Writer(part) as writer:
+        connections = {}
+        for channel in channels(archive):
+            facts = dict(channel.metadata)
+            connections[channel] = writer.add_connection(
+                channel.topic,
+                channel.type.replace("/", "/msg/"),
+                msgdef=channel.schema.decode(),
+                md5sum=facts.get("md5sum", "*"),
+                callerid=facts.get("callerid"),
+                latching=int(facts["latching"]) if "latching" in facts else None,
+            )
+        for channel, message in messages(archive, scans):
+            writer.write(connections[channel], message.log_time, message.data)
     yield path
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.files import location
 from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.stages.ingest.sources.bag import find_log, open_log
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
@@ -28,7 +29,7 @@ def passing_log(plan: SequencePlan, failed: set[str], config: RunConfig) -> Pass
     refs = [ref for gop in plan.gops for ref in gop.scans]
     if not refs or not refs[0].topic:
         return None
-    log = open_log(Path(refs[0].path))
+    log = open_log(location(refs[0].path))
     topics = {ref.topic for ref in refs}
     lost = {(ref.topic, ref.time, ref.at) for ref in refs if ref.name in failed}
     first, last = min(ref.time for ref in refs), max(ref.time for ref in refs)

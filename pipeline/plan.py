@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +35,8 @@ def plan_run(
         UsageError: the root is missing, or none of the sequences is there.
     """
     source = SOURCES[config.source]
+    with suppress(FileNotFoundError):
+        root.stat()  # where a URL cannot be reached, this says so; is_dir() would only deny
     if not (root.is_dir() or (config.source == "bag" and root.exists())):
         raise UsageError(missing_root(root, config.source))
     plans: list[SequencePlan] = []

@@ -19,7 +19,8 @@ from salpcc.pipeline.plan import SequencePlan, plan_run
 from salpcc.pipeline.progress import STDERR, Report, Silent, bar
 from salpcc.pipeline.store import TOOL, ShardStore
 from salpcc.schemas.config import UNBOUNDED, RunConfig
-from salpcc.schemas.files import atomic
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import atomic, is_url
 from salpcc.schemas.work import ScanError
 from salpcc.stages.evaluate import record, report
 from salpcc.stages.evaluate.schema import BASELINES, FAILURES, METRICS, TIMES
@@ -69,6 +70,7 @@ def run_sequences(request: RunRequest) -> RunResult:
     request = replace(request, out=request.out.absolute())
     config = resolve(request.config)
     root = request.root.absolute() if request.root is not None else request.out / "simulated"
+    _check_urls(request, root)
     started = datetime.now(UTC)
     with ExitStack() as stack:
         if config.source != "simulated":
@@ -91,6 +93,16 @@ def run_sequences(request: RunRequest) -> RunResult:
         return RunResult(None, errors)
     _gather(request, config, root, outcomes, errors, started)
     return RunResult(report.build(request.out), errors)
+
+
+def _check_urls(request: RunRequest, root: Path) -> None:
+    """Refuse what cannot be done with a URL."""
+    if request.config.source == "simulated" and is_url(root):
+        raise UsageError(
+            f"{root}: simulated scans are written to a folder of this machine; name one with --root"
+        )
+    if request.workers != 0 and any(str(path).startswith("memory://") for path in (root, request.out)):
+        raise UsageError("memory:// lives in one process: --workers 0")
 
 
 def _simulate(root: Path, sequences: list[str], config: RunConfig, quiet: bool) -> None:

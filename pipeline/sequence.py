@@ -21,7 +21,7 @@ from salpcc.pipeline.store import ShardStore
 from salpcc.pipeline.tasks import VERSIONS, GopResult, file_digest, lost
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import atomic, unreachable
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import list_array
 from salpcc.schemas.work import GopSource, ScanRef, ShardRef, digest_of
@@ -148,7 +148,9 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
             in_order=config.profile == "sensor",
             sample=gop.number == 0,
         )
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
+        if unreachable(error):
+            raise
         return lost("evaluate", result, gop, error)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     store.write(ref, table, {"stage": "evaluate", "stage_version": VERSIONS["evaluate"], "peak_mb": peak})

@@ -6,7 +6,6 @@ interrupted run resumes by asking for names.
 
 from __future__ import annotations
 
-import shutil
 import zlib
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
@@ -17,7 +16,7 @@ import pyarrow as pa
 
 from salpcc.schemas.checksum import content_crc
 from salpcc.schemas.errors import ShardError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import atomic, reading, remove_tree, why
 from salpcc.schemas.shards import facts_of, stamp
 from salpcc.schemas.work import ShardRef
 
@@ -80,7 +79,7 @@ class ShardStore:
     def drop_sequence(self, sequence: str, stages: Iterable[str]) -> None:
         """Delete the shards of some stages of a sequence."""
         for stage in stages:
-            shutil.rmtree(self.root / sequence / stage, ignore_errors=True)
+            remove_tree(self.root / sequence / stage)
         for folder in (self.root / sequence, self.root):
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
@@ -106,7 +105,7 @@ def read_shard(path: Path, facts_only: bool = False) -> tuple[pa.Table, dict[str
         ShardError: missing, damaged, or from a newer major version.
     """
     try:
-        with pa.OSFile(str(path)) as file, pa.ipc.open_file(file) as reader:
+        with reading(path) as file, pa.ipc.open_file(file) as reader:
             facts = facts_of(reader.schema, str(path))
             table = reader.schema.empty_table() if facts_only else reader.read_all()
             table.validate(full=True)  # offsets that lead out of a buffer crash whoever follows them
@@ -115,7 +114,7 @@ def read_shard(path: Path, facts_only: bool = False) -> tuple[pa.Table, dict[str
                 raise ShardError(f"{path}: damaged (checksum differs); run the same command again")
             return table, facts
     except OSError as error:
-        raise ShardError(f"{path}: {error.strerror or error}; run the same command again") from error
+        raise ShardError(f"{path}: {why(error)}; run the same command again") from error
     except (pa.ArrowException, MemoryError, UnicodeDecodeError, OverflowError) as error:
         raise ShardError(
             f"{path}: damaged ({(str(error) or type(error).__name__).splitlines()[0]}); run the same command again"

@@ -18,6 +18,7 @@ from salpcc.pipeline.isolate import only, run_isolated
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ShardError
+from salpcc.schemas.files import location, reading, unreachable
 from salpcc.schemas.shards import OF_STAGE, facts_of
 from salpcc.schemas.work import STAGES, GopSource, ScanError, ShardRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
@@ -86,7 +87,7 @@ def file_digest(path: str | None) -> str:
     if path is None:
         return "absent"
     try:
-        with open(path, "rb") as stream:
+        with reading(location(path)) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:  # it will fail in ingest too, and be done again once it is readable
         return f"unreadable: {error.errno}"
@@ -115,9 +116,9 @@ def run_stage(
             table, facts = _work(
                 stage, [store.read(dict(before.shards)[name]) for name in INPUTS[stage]], gop, config
             )
-        except (OSError, ShardError):
-            raise
-        except Exception as error:  # noqa: BLE001 (a kernel's; the other GOPs go on)
+        except Exception as error:
+            if isinstance(error, (OSError, ShardError)) or unreachable(error):
+                raise
             return lost(stage, before, gop, error)
         store.write(
             ref, table, {"stage": stage, "stage_version": VERSIONS[stage], "config": config.digest, **facts}

@@ -9,6 +9,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import location
 
 _MOST = 10_000  # sequences of a range
 
@@ -21,7 +22,7 @@ class SourceEntry(BaseModel):
     description: str
     url: str = ""
     licence: str = ""
-    root: Path | None = None
+    root: str = ""
     sequences: dict[str, int | None] = {}
     splits: dict[str, str] = {}
 
@@ -49,10 +50,14 @@ def load_manifest(path: Path) -> Manifest:
         first = error.errors()[0]
         raise UsageError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
     sources = {
-        name: entry.model_copy(update={"root": path.parent / entry.root}) if entry.root else entry
+        name: entry.model_copy(update={"root": str(_from(path.parent, entry.root))}) if entry.root else entry
         for name, entry in manifest.sources.items()
     }
     return manifest.model_copy(update={"sources": sources})
+
+
+def _from(folder: Path, root: str) -> Path:
+    return location(root) if "://" in root else folder / root
 
 
 def expand_sequences(text: str, splits: dict[str, str] | None = None) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from salpcc.schemas.errors import ShardError
+from salpcc.schemas.files import atomic
 from salpcc.stages.evaluate import schema
 from salpcc.stages.evaluate.schema import VERSION
 
@@ -40,14 +40,13 @@ def record(out: Path, run: Mapping[str, Any] | None = None, **tables: pa.Table) 
     ``inputs`` (by sequence, the digest of its scans and the configuration).
     """
     folder = out / "report"
-    folder.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
         stamped = SCHEMAS[name].with_metadata({_VERSION_KEY: str(VERSION).encode()})
-        with _replacing(folder / f"{name}.parquet") as part:
-            pq.write_table(_complete(table, SCHEMAS[name]).cast(stamped), part, compression="zstd")
+        with atomic(folder / f"{name}.parquet") as stream:
+            pq.write_table(_complete(table, SCHEMAS[name]).cast(stamped), stream, compression="zstd")
     if run is not None:
-        with _replacing(folder / RUN) as part:
-            part.write_text(json.dumps(run, indent=1, sort_keys=True) + "\n")
+        with atomic(folder / RUN) as stream:
+            stream.write((json.dumps(run, indent=1, sort_keys=True) + "\n").encode())
 
 
 def recorded(out: Path, name: str) -> pa.Table:
@@ -60,7 +59,7 @@ def recorded(out: Path, name: str) -> pa.Table:
     if not path.exists():
         return SCHEMAS[name].empty_table()
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(pa.BufferReader(path.read_bytes()))
     except (OSError, pa.ArrowInvalid) as error:
         raise ShardError(f"{path}: not readable as Parquet ({error}); run the command again") from error
     version = int((table.schema.metadata or {}).get(_VERSION_KEY, b"0"))
@@ -83,20 +82,3 @@ def recorded_run(out: Path) -> dict[str, Any]:
     """Read the run's description back; empty where there is none."""
     path = out / "report" / RUN
     return dict(json.loads(path.read_text())) if path.exists() else {}
-
-
-class _replacing:
-    """Write beside ``path`` and rename at the end, so that a reader never sees half a file."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.part = path.with_name(f"{path.name}.{os.getpid()}.part")
-
-    def __enter__(self) -> Path:
-        return self.part
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            os.replace(self.part, self.path)
-        else:
-            self.part.unlink(missing_ok=True)

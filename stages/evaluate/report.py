@@ -15,6 +15,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from salpcc.schemas.files import atomic
 from salpcc.stages.evaluate.collect import collect
 from salpcc.stages.evaluate.layout.gallery import galleries
 from salpcc.stages.evaluate.layout.page import render_page
@@ -36,7 +37,8 @@ def build(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
     (folder / "report.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")
     tables = [*all_tables(report), *published_tables()]
     for table in tables:
-        pq.write_table(table.to_arrow(), folder / "tables" / f"{table.name}.parquet")
+        with atomic(folder / "tables" / f"{table.name}.parquet") as stream:
+            pq.write_table(table.to_arrow(), stream)
     (folder / "tables.md").write_text(to_document(tables))
     drawn = pa.concat_tables([recorded(f, "pictures").replace_schema_metadata(None) for f in (out, *beside)])
     page = render_page(report, galleries(recorded(out, "metrics"), drawn))

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.files import unreachable
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import stamp, sweeps_to_table
 from salpcc.schemas.sweep import Sweep
@@ -32,10 +30,11 @@ def run(gop: GopSource, config: RunConfig) -> pa.Table:
         try:
             scan = source.read(ref, with_labels=config.labels == "given")
             sweeps.append(project(ref.number, scan))
-        except SourceError as error:
-            errors.append(ScanError(gop.sequence, ref.name, "ingest", _here(str(error), ref)))
-        except Exception as error:  # noqa: BLE001 (one odd scan must not take the others of its GOP with it)
-            reason = f"{ref.path}: {type(error).__name__}: {error}"
+        except Exception as error:
+            if unreachable(error):
+                raise  # not the scan's: the same command goes on when the way there is mended
+            known = isinstance(error, SourceError)
+            reason = str(error) if known else f"{ref.path}: {type(error).__name__}: {error}"
             errors.append(ScanError(gop.sequence, ref.name, "ingest", _here(reason, ref)))
     return stamp(sweeps_to_table(sweeps), errors=[vars(error) for error in errors])
 
@@ -44,7 +43,7 @@ def _here(reason: str, ref: ScanRef) -> str:
     """Name files without their folders: a shard says nothing of the machine that wrote it."""
     for path in (ref.path, ref.labels):
         if path is not None:
-            reason = reason.replace(str(Path(path).parent) + os.sep, "")
+            reason = reason.replace(path[: path.rfind("/") + 1], "")
     return reason
 
 

@@ -27,8 +27,9 @@ from mcap.records import (
 )
 
 from salpcc.schemas.errors import ArchiveError, SalpccError
+from salpcc.schemas.files import location, read_at, reading, why
 from salpcc.schemas.log import LogChannel, LogMessage
-from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk
+from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records
 from salpcc.schemas.messages import CloudMessage
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive import ARCHIVE_VERSION, MAGIC, ArchiveFacts, ScanEntry, ScanPayload
@@ -43,7 +44,7 @@ class ArchiveReader:
     No file stays open, so a reader can be pickled and forked.
 
     Attributes:
-        path: the file.
+        path: the file, or its URL.
         facts: sequence, source, inputs, configuration and sensor model.
         gops: the entries of the scans, by GOP number; a GOP all of whose scans failed is empty.
         log: channels of the log that the scans were in; empty for scans that were files.
@@ -55,12 +56,12 @@ class ArchiveReader:
         Raises:
             ArchiveError: not an archive of this tool, damaged, truncated, or of a newer major version.
         """
-        self.path = Path(path)
+        self.path = location(path)
         try:
             self.size = self.path.stat().st_size
             self._read_index()
         except OSError as error:
-            raise ArchiveError(f"{self.path}: {error.strerror or error}") from error
+            raise ArchiveError(f"{self.path}: {why(error)}") from error
         except PARSE_ERRORS as error:
             raise ArchiveError(f"{self.path}: the index is damaged ({error})") from error
 
@@ -97,7 +98,7 @@ class ArchiveReader:
         """
         for chunk in self._passing:
             try:
-                with open(self.path, "rb") as file:
+                with reading(self.path) as file:
                     data = read_chunk(file, chunk.chunk_start_offset + 9, chunk.chunk_length - 9)
                 yield from passing_messages(data, self.log)
             except PARSE_ERRORS as error:
@@ -122,7 +123,7 @@ class ArchiveReader:
         """
         crc = 0
         left = self._data_end
-        with open(self.path, "rb") as stream:
+        with reading(self.path) as stream:
             while left > 0:
                 block = stream.read(min(left, 1 << 20))
                 if not block:
@@ -150,7 +151,7 @@ class ArchiveReader:
         metadata: dict[str, MetadataIndex] = {}
         schemas: dict[int, Schema] = {}
         self.log: dict[int, LogChannel] = {}
-        for opcode, content in _records(summary):
+        for opcode, _, content in records(summary):
             stream = ReadDataStream(BytesIO(content))
             if opcode == Opcode.CHUNK_INDEX:
                 chunks.append(ChunkIndex.read(stream))
@@ -216,9 +217,7 @@ class ArchiveReader:
             raise ArchiveError(
                 f"{self.path}: truncated or damaged, wants bytes {at} to {at + length} of {self.size}"
             )
-        with open(self.path, "rb") as stream:
-            stream.seek(at)
-            return stream.read(length)
+        return read_at(self.path, at, length)
 
 
 def entry_of(row: list[Any]) -> ScanEntry:
@@ -235,17 +234,7 @@ def file_name(name: object) -> str:
     return name
 
 
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    at = 0
-    while at < len(data):
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        if at + 9 + length > len(data):
-            raise ValueError("a record ends outside")
-        yield opcode, data[at + 9 : at + 9 + length]
-        at += 9 + length
-
-
 def _messages(data: bytes) -> Iterator[Message]:
-    for opcode, content in _records(data):
+    for opcode, _, content in records(data):
         if opcode == Opcode.MESSAGE:
             yield Message.read(ReadDataStream(BytesIO(content)), len(content))

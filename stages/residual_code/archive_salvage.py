@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import mmap
 import struct
 from collections import Counter
 from dataclasses import replace
@@ -17,6 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.files import location, mapped, why
 from salpcc.stages.ingest.sensor_model import SENSORS, SensorModel, load_sensor
 from salpcc.stages.residual_code import grid_payload, payload
 from salpcc.stages.residual_code.archive import (
@@ -52,13 +52,12 @@ class Salvage:
         Raises:
             ArchiveError: unreadable, no archive, or its sensor model is gone.
         """
-        self.path = Path(path)
+        self.path = location(path)
         self.notes: list[str] = []
         try:
-            with open(self.path, "rb") as stream:
-                self._data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+            self._data = mapped(self.path)
         except (OSError, ValueError) as error:
-            raise ArchiveError(f"{self.path}: {error}") from error
+            raise ArchiveError(f"{self.path}: {why(error)}") from error
         self.facts = self._facts(sensor)
         self._index = self._read_index()
         self._rows = {entry.name: entry for gop in self._index or [] for entry in gop}

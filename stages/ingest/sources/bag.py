@@ -12,6 +12,7 @@ import yaml
 
 from salpcc.schemas.cloud_layout import LayoutError
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.files import is_url, location, mark, reading, why
 from salpcc.schemas.log import Log
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
@@ -52,10 +53,9 @@ class Bag:
         found: dict[str, list[tuple[int, tuple[int, ...]]]] = {topic: [] for topic in chosen}
         for message in log.messages(wanted):
             found[clouds[message.channel]].append((message.log_time, message.at))
-        digest = digest_log(path)
         slugs = _slugs(chosen)
         return [
-            ScanRef(f"{slugs[topic]}{n:06d}", n, str(path), time, topic=topic, at=at, digest=digest)
+            ScanRef(f"{slugs[topic]}{n:06d}", n, str(path), time, topic=topic, at=at)
             for topic in chosen
             for n, (time, at) in enumerate(sorted(found[topic]))
         ]
@@ -64,7 +64,7 @@ class Bag:
         """Read one cloud; logs have no labels."""
         if with_labels:
             raise SourceError(f"{ref.path}: logs have no labels; use --labels network")
-        log = _opened(ref.path, ref.digest)
+        log = _opened(ref.path, log_mark(location(ref.path)))
         message = log.message(ref.topic, ref.time, ref.at)
         channel = log.channels[message.channel]
         try:
@@ -82,13 +82,15 @@ def open_log(path: Path) -> Log:
     if path.suffix == ".mcap":
         return McapLog([path])
     files = mcap_files(path)
+    if not files and is_url(path):
+        raise SourceError(f"{path}: only MCAP is read from a URL; copy this log to a folder")
     return McapLog(files) if files else RosLog(path)
 
 
 @lru_cache(maxsize=2)
-def _opened(path: str, digest: str) -> Log:
+def _opened(path: str, changed: str) -> Log:
     """A log that stays open in this process: a GOP reads many messages of it."""
-    return open_log(Path(path))
+    return open_log(location(path))
 
 
 def mcap_files(path: Path) -> list[Path]:
@@ -133,12 +135,24 @@ def digest_log(path: Path) -> str:
     """SHA-256 over the bytes of a log's files."""
     digest = hashlib.sha256()
     try:
-        for file in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
-            with open(file, "rb") as stream:
+        for file in _files(path):
+            with reading(file) as stream:
                 digest.update(hashlib.file_digest(stream, "sha256").digest())
     except OSError as error:
-        raise SourceError(f"{path}: {error.strerror or error}") from error
+        raise SourceError(f"{path}: {why(error)}") from error
     return digest.hexdigest()
+
+
+def log_mark(path: Path) -> str:
+    """What changes whenever a file of a log does; see :func:`~salpcc.schemas.files.mark`."""
+    try:
+        return " | ".join(mark(file) for file in _files(path))
+    except OSError as error:
+        raise SourceError(f"{path}: {why(error)}") from error
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
 
 
 def _slugs(topics: list[str]) -> dict[str, str]:

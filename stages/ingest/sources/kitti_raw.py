@@ -6,6 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_points
@@ -41,7 +42,7 @@ class KittiRaw:
         """Read points; there are no labels to raw drives."""
         if with_labels:
             raise SourceError(f"{ref.path}: raw drives have no labels; use --labels network")
-        points, intensity = read_points(Path(ref.path))
+        points, intensity = read_points(location(ref.path))
         return Scan(ref.name, points, intensity, ref.time)
 
 

@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema, Statistics
 
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.files import mark, reading, why
 from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import (
     HEAD,
@@ -61,7 +62,7 @@ class McapLog:
     def _read_summary(self, number: int) -> bool:
         """Read the channels from the end of a file, if it tells all of them there."""
         try:
-            with open(self.files[number], "rb") as file:
+            with reading(self.files[number]) as file:
                 end = file.seek(0, os.SEEK_END) - _FOOTER.size - len(_MAGIC)
                 file.seek(max(end, 0))
                 opcode, length, start, *_ = _FOOTER.unpack(file.read(_FOOTER.size))
@@ -86,18 +87,18 @@ class McapLog:
         number, start, within = at
         path = self.files[number]
         try:
-            with open(path, "rb") as file:
+            with reading(path) as file:
                 file.seek(start - HEAD.size)
                 _, length = HEAD.unpack(file.read(HEAD.size))
                 if within < 0:
                     content = file.read(min(length, MAX_RECORD))
                 else:
-                    data = _chunk(path, path.stat().st_mtime_ns, start, length)
+                    data = _chunk(path, mark(path), start, length)
                     _, inner = HEAD.unpack_from(data, within)
                     content = data[within + HEAD.size : within + HEAD.size + inner]
             return self._message(number, content, at)
         except OSError as error:
-            raise SourceError(f"{path}: {error.strerror or error}") from error
+            raise SourceError(f"{path}: {why(error)}") from error
         except PARSE_ERRORS as error:
             raise SourceError(f"{path}: {topic} at {time}: damaged ({error})") from error
 
@@ -106,7 +107,7 @@ class McapLog:
         path = self.files[number]
         try:
             size = path.stat().st_size
-            with open(path, "rb") as file:
+            with reading(path) as file:
                 if file.read(len(_MAGIC)) != _MAGIC:
                     raise SourceError(f"{path}: not an MCAP file")
                 ended = False
@@ -125,7 +126,7 @@ class McapLog:
                 if not ended:
                     raise ValueError("ends early: no end of its data; `mcap recover` mends it")
         except OSError as error:
-            raise SourceError(f"{path}: {error.strerror or error}") from error
+            raise SourceError(f"{path}: {why(error)}") from error
         except PARSE_ERRORS as error:
             raise SourceError(f"{path}: {error}") from error
 
@@ -170,7 +171,7 @@ class McapLog:
 
 
 @lru_cache(maxsize=2)
-def _chunk(path: Path, changed: int, at: int, length: int) -> bytes:
+def _chunk(path: Path, changed: str, at: int, length: int) -> bytes:
     """The records of a chunk; the messages of a topic often share one."""
-    with open(path, "rb") as file:
+    with reading(path) as file:
         return read_chunk(file, at, length)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.files import location, why
 from salpcc.schemas.labels import classes_of_labels
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
@@ -36,7 +37,7 @@ class SemanticKitti:
 
     def read(self, ref: ScanRef, with_labels: bool) -> Scan:
         """Read points and, where asked, the classes of the ``.label`` file."""
-        points, intensity = read_points(Path(ref.path))
+        points, intensity = read_points(location(ref.path))
         classes = read_classes(ref, len(points)) if with_labels else None
         return Scan(ref.name, points, intensity, ref.time, classes=classes)
 
@@ -62,11 +63,11 @@ def read_classes(ref: ScanRef, n_points: int) -> NDArray[np.uint8]:
     """
     if ref.labels is None:
         raise SourceError(f"{ref.path}: no .label file beside it; use --labels network")
-    path = Path(ref.labels)
+    path = location(ref.labels)
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise SourceError(f"{path}: {error.strerror or error}") from error
+        raise SourceError(f"{path}: {why(error)}") from error
     if len(data) != 4 * n_points:
         raise SourceError(f"{path}: {len(data)} bytes for {n_points} points, expected 4 bytes a point")
     try:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.files import why
 from salpcc.schemas.work import ScanRef
 
 POINT_BYTES = 16
@@ -24,7 +25,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise SourceError(f"{path}: {error.strerror or error}") from error
+        raise SourceError(f"{path}: {why(error)}") from error
     if len(data) % POINT_BYTES:
         raise SourceError(
             f"{path}: truncated, {len(data)} bytes is not a multiple of {POINT_BYTES}; fetch it again"
