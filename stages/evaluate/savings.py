@@ -19,7 +19,10 @@ _CODED = (
 def add_savings(
     run: Mapping[str, Any], config: Mapping[str, Any], beside: Iterable[Mapping[str, Any]]
 ) -> None:
-    """Put ``bytes_saved`` and ``savings_measured`` into the figures of a run that dropped something, in place.
+    """Say what was saved in the figures of a run that dropped something, in place.
+
+    ``bytes_saved`` of geometry and intensity, ``savings_measured`` (else estimated) and, where measured,
+    ``bytes_saved_file`` of the whole archive.
 
     Args:
         run: ``sequences`` and ``total`` of the run.
@@ -27,15 +30,17 @@ def add_savings(
         beside: other runs, with ``config`` and ``sequences``; one that keeps movables and is coded alike measures.
     """
     keeping = [o for o in beside if o["config"].get("keep_movable") and _alike(o["config"], config)]
-    savings = {}
+    found = []
     for name, figures in run["sequences"].items():
         if figures["points_dropped_movable"]:
             there = (o["sequences"].get(name) for o in keeping)
-            savings[name] = _saved(figures, next((o for o in there if o and _same_scans(o, figures)), None))
-            figures["bytes_saved"], figures["savings_measured"] = savings[name]
-    if savings:
-        run["total"]["bytes_saved"] = sum(saved for saved, _ in savings.values())
-        run["total"]["savings_measured"] = all(measured for _, measured in savings.values())
+            found.append(_saved(figures, next((o for o in there if o and _same_scans(o, figures)), None)))
+            figures |= found[-1]
+    if found:
+        measured = all(one["savings_measured"] for one in found)
+        run["total"]["bytes_saved"] = sum(one["bytes_saved"] for one in found)
+        run["total"]["savings_measured"] = measured
+        run["total"]["bytes_saved_file"] = sum(one["bytes_saved_file"] for one in found) if measured else None
 
 
 def coded_bytes(figures: Mapping[str, Any]) -> int:
@@ -43,11 +48,14 @@ def coded_bytes(figures: Mapping[str, Any]) -> int:
     return sum(int(figures["bytes"][stream]) for stream in _CODED)
 
 
-def _saved(figures: Mapping[str, Any], keeping: Mapping[str, Any] | None) -> tuple[int, bool]:
+def _saved(figures: Mapping[str, Any], keeping: Mapping[str, Any] | None) -> dict[str, Any]:
     if keeping is not None:
-        return coded_bytes(keeping) - coded_bytes(figures), True
+        file = keeping["bytes"]["total"] - figures["bytes"]["total"]
+        coded = coded_bytes(keeping) - coded_bytes(figures)
+        return {"bytes_saved": coded, "savings_measured": True, "bytes_saved_file": file}
     dropped = figures["points_dropped_movable"]
-    return round(dropped * coded_bytes(figures) / max(figures["points_in"] - dropped, 1)), False
+    coded = round(dropped * coded_bytes(figures) / max(figures["points_in"] - dropped, 1))
+    return {"bytes_saved": coded, "savings_measured": False, "bytes_saved_file": None}
 
 
 def _alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:

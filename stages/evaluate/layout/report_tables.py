@@ -100,6 +100,7 @@ def savings_table(report: Report) -> Table:
         Column("bytes_coded", "geometry and intensity, bytes", ","),
         Column("bytes_saved", "saved, bytes", ","),
         Column("share_saved", "saved, %", ".2f"),
+        Column("bytes_saved_file", "of the whole file, bytes", ","),
         Column("how", "how it is known"),
     )
     rows = []
@@ -116,7 +117,8 @@ def savings_table(report: Report) -> Table:
     note = (
         "Saved, %: of what geometry and intensity would take with these points. Measured: against a run that kept them "
         "and is shown here, too (report OUT --beside OUT_KEEP). Estimated: a dropped point is taken to cost what the "
-        "other points of its sequence cost; all: their sum."
+        "others of its sequence cost; over 55 scans of SemanticKITTI that was 2 % less than measured, at most 20 % off in a "
+        "sequence. The whole file saves less, as the network tells more classes apart, and the archive keeps them."
     )
     return Table("savings", "What leaving out movables saves", columns, tuple(rows), note, last_is_total=True)
 

@@ -185,6 +185,7 @@ def test_what_dropping_saves_is_measured_where_a_run_kept_everything(
     record(keep, {"config": {"keep_movable": True}}, metrics=metrics)
     built = report.build(out, [paper, keep])
     assert built["total"]["bytes_saved"] == 250 and built["total"]["savings_measured"]
+    assert built["total"]["bytes_saved_file"] == 250
     assert table(out, "savings")[0]["share_saved"] == pytest.approx(100 * 250 / 1850)
     assert "saved by leaving out" in (out / "report" / "index.html").read_text()
     # Another error, or other scans, are no measure of this run.
