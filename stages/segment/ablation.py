@@ -50,6 +50,7 @@ MEASURES = {
     "miou_12": "mIoU, the paper's classes",
 }
 Counts = dict[str, NDArray[np.int64]]
+_NONE = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
 
 
 def variants(
@@ -78,9 +79,10 @@ def study(
             counts: Counts = {}
             for gop in read_gops(root, sequence):
                 for variant, found in variants(network, gop):
-                    some = sum((_counts(one, scan) for one, (_, scan) in zip(found, gop, strict=True)))
-                    counts[variant] = counts.get(variant, 0) + some
-                    every[variant] = every.get(variant, 0) + some
+                    for one, (_, scan) in zip(found, gop, strict=True):
+                        some = _counts(one, scan)
+                        counts[variant] = counts.get(variant, _NONE) + some
+                        every[variant] = every.get(variant, _NONE) + some
             rows += _rows(sequence, counts)
             log(f"{sequence}: done")
     return rows if len({row["sequence"] for row in rows}) == 1 else rows + _rows("all", every)
