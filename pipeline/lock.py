@@ -18,6 +18,7 @@ from salpcc.schemas.errors import LockedError, UsageError
 from salpcc.schemas.files import atomic, create, is_url, why
 
 LEASE = 60.0  # seconds without a sign of life after which a lock behind a URL is nobody's
+_held: set[str] = set()  # tokens of the locks that this process holds
 _SETTLE = 1.0  # seconds in which another run that takes over the same lock will have shown
 
 
@@ -67,6 +68,7 @@ def _leased(out: Path) -> Iterator[None]:
         _take(out, path, token)
     except OSError as error:
         raise UsageError(f"{out}: cannot write there ({why(error)})") from error
+    _held.add(token)
     thread = Thread(target=_renew, args=(path, token, over), daemon=True)
     thread.start()
     try:
@@ -74,8 +76,10 @@ def _leased(out: Path) -> Iterator[None]:
     finally:
         over.set()
         thread.join()
-        if _holder(path).get("token") == token:
-            path.unlink(missing_ok=True)
+        _held.discard(token)
+        with suppress(Exception):  # where the way is lost, the lock has lost its holder all the same
+            if _holder(path).get("token") == token:
+                path.unlink(missing_ok=True)
 
 
 def _take(out: Path, path: Path, token: str) -> None:
@@ -122,13 +126,13 @@ def _holder(path: Path) -> dict[str, Any]:
 
 
 def _died_here(holder: dict[str, Any]) -> bool:
-    """Tell whether the holder was a process of this machine that is no more."""
+    """Tell whether the holder was a process of this machine that is no more, or a run of this one that is over."""
     if holder.get("host") != socket.gethostname():
         return False
+    if holder.get("process") == os.getpid():
+        return holder.get("token") not in _held
     try:
         os.kill(int(holder["process"]), 0)
-    except ProcessLookupError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, ProcessLookupError)
     return False

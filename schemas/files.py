@@ -10,9 +10,8 @@ import errno
 import mmap
 import os
 import shutil
-import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
@@ -25,8 +24,6 @@ from salpcc.schemas.errors import UsageError
 # A put appears there whole, so it needs no other name; listings must not be kept, for other machines write, too.
 _OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss"})
 _BLOCK = 1 << 22  # bytes that are read ahead from a URL
-_TAGS = ("ETag", "etag", "md5Hash", "content_md5", "generation")  # of a content, by which stores know it
-_REST = 2_000_000_000  # nanoseconds after which no file system gives a change the time of the one before
 # The packages behind URLs agree on no class for a lost connection or a refused credential.
 _CLIENTS = frozenset(
     {
@@ -74,8 +71,8 @@ def is_url(path: Path) -> bool:
     return not isinstance(path, Path)
 
 
-def _remote(path: Path) -> tuple[Any, str]:
-    """The file system of a URL, and the name by which that knows it."""
+def remote(path: Path) -> tuple[Any, str]:
+    """Return fsspec's file system of a URL, and the name by which that knows it."""
     path_: Any = path
     return path_.fs, path_.path
 
@@ -128,13 +125,13 @@ def _sync(path: Path) -> None:
 
 
 def _put(part: Path, path: Path) -> None:
-    fs, name = _remote(path)
+    fs, name = remote(path)
     try:
         if urlsplit(str(path)).scheme in _OBJECT_STORES:
             fs.put_file(str(part), name)
         else:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _, half = _remote(path.with_name(f".{path.name}.{uuid4().hex}.part"))
+            _, half = remote(path.with_name(f".{path.name}.{uuid4().hex}.part"))
             fs.put_file(str(part), half)
             fs.mv(half, name)
     except OSError as error:
@@ -147,7 +144,7 @@ def create(path: Path, content: bytes) -> None:
     Raises:
         FileExistsError: it is there.
     """
-    fs, name = _remote(path)
+    fs, name = remote(path)
     fs.pipe_file(name, content, mode="create")
 
 
@@ -155,14 +152,14 @@ def reading(path: Path) -> BufferedReader:
     """Open a file to be read from front to back, or here and there."""
     if not is_url(path):
         return open(path, "rb")
-    fs, name = _remote(path)
+    fs, name = remote(path)
     return cast(BufferedReader, fs.open(name, "rb", block_size=_BLOCK))
 
 
 def read_at(path: Path, at: int, length: int) -> bytes:
     """Read bytes ``[at, at + length)``; from a URL in one request."""
     if is_url(path):
-        fs, name = _remote(path)
+        fs, name = remote(path)
         return bytes(fs.cat_file(name, start=at, end=at + length)) if length else b""
     with open(path, "rb") as stream:
         stream.seek(at)
@@ -184,7 +181,7 @@ def remove_tree(path: Path) -> None:
     if not is_url(path):
         shutil.rmtree(path, ignore_errors=True)
     elif path.exists():
-        fs, name = _remote(path)
+        fs, name = remote(path)
         fs.rm(name, recursive=True)
 
 
@@ -202,50 +199,3 @@ def unreachable(error: BaseException) -> bool:
     if isinstance(error, ConnectionError) or type(error).__module__.partition(".")[0] in _CLIENTS:
         return True
     return error.__cause__ is not None and unreachable(error.__cause__)
-
-
-def mark(path: Path) -> str:
-    """Say what changes whenever a file does, without reading it: size, inode and times, or what a URL tells.
-
-    Raises:
-        OSError: it is not there.
-    """
-    if is_url(path):
-        fs, name = _remote(path)
-        return _told(fs.info(name))
-    found = path.stat()
-    # The change time is the system's own: who sets back the modification time moves it, too.
-    return f"{found.st_size} {found.st_mtime_ns} {found.st_ctime_ns} {found.st_ino}"
-
-
-def marks(paths: Iterable[Path]) -> dict[Path, str]:
-    """Return the :func:`mark` of each path that is there; of URLs by one listing a folder."""
-    found: dict[Path, str] = {}
-    listings: dict[Path, dict[str, dict[str, Any]]] = {}
-    for path in paths:
-        with suppress(OSError, KeyError):
-            if not is_url(path):
-                found[path] = mark(path)
-                continue
-            if path.parent not in listings:
-                fs, name = _remote(path.parent)
-                listings[path.parent] = {i["name"].rpartition("/")[2]: i for i in fs.ls(name, detail=True)}
-            found[path] = _told(listings[path.parent][path.name])
-    return found
-
-
-def at_rest(path: Path) -> bool:
-    """Tell whether another content would surely have another :func:`mark`.
-
-    Not so just after a change, for clocks of file systems tick, nor behind a URL that tags no content.
-    """
-    if is_url(path):
-        fs, name = _remote(path)
-        return any(fs.info(name).get(tag) for tag in _TAGS)
-    found = path.stat()
-    return time.time_ns() - max(found.st_mtime_ns, found.st_ctime_ns) > _REST
-
-
-def _told(info: dict[str, Any]) -> str:
-    tags = [info.get(tag) for tag in _TAGS if info.get(tag)]
-    return f"{info['size']} {tags or sorted((key, str(value)) for key, value in info.items())}"

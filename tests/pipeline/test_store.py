@@ -1,15 +1,21 @@
 """The shard store and the lock."""
 
+import json
+import os
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
+from salpcc.pipeline import lock
 from salpcc.pipeline.lock import locked
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.errors import LockedError, ShardError, UsageError
+from salpcc.schemas.files import location, remove_tree
 
 TABLE = pa.table({"a": [1, 2, 3]})
 
@@ -97,3 +103,48 @@ def test_output_that_cannot_be_made_is_wrong_use(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="cannot write"), locked(tmp_path / "file" / "out"):
         pass
+
+
+@pytest.fixture
+def url() -> Path:
+    out = location("memory://locked")
+    remove_tree(out)
+    return out
+
+
+def test_lock_behind_a_url_is_kept_alive_and_given_back(url: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lock, "LEASE", 0.2)
+    with locked(url):
+        first = json.loads((url / ".lock").read_bytes())
+        time.sleep(0.5)
+        with pytest.raises(LockedError, match=f"process {os.getpid()} on"), locked(url):
+            pass
+        assert json.loads((url / ".lock").read_bytes())["seen"] > first["seen"]
+    assert not (url / ".lock").exists()
+
+
+@pytest.mark.parametrize(
+    ("host", "seen", "free"),
+    [("elsewhere", 0.0, True), ("elsewhere", 1.0, False), ("", 1.0, True)],
+    ids=["silent", "alive", "died here"],
+)
+def test_lock_of_a_dead_run_behind_a_url_is_taken_over(
+    host: str, seen: float, free: bool, url: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lock, "_SETTLE", 0.0)
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    holder = {
+        "host": host or socket.gethostname(),
+        "process": gone.pid,
+        "token": "t",
+        "seen": seen * time.time(),
+    }
+    (url / ".lock").write_bytes(json.dumps(holder).encode())
+    if free:
+        with locked(url):
+            assert json.loads((url / ".lock").read_bytes())["process"] == os.getpid()
+    else:
+        with pytest.raises(LockedError, match="on elsewhere"), locked(url):
+            pass
+        assert json.loads((url / ".lock").read_bytes()) == holder

@@ -12,8 +12,9 @@ import yaml
 
 from salpcc.schemas.cloud_layout import LayoutError
 from salpcc.schemas.errors import SourceError
-from salpcc.schemas.files import is_url, location, mark, reading, why
+from salpcc.schemas.files import is_url, location, reading, why
 from salpcc.schemas.log import Log
+from salpcc.schemas.marks import mark
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.point_cloud import message_to_scan
@@ -144,7 +145,7 @@ def digest_log(path: Path) -> str:
 
 
 def log_mark(path: Path) -> str:
-    """What changes whenever a file of a log does; see :func:`~salpcc.schemas.files.mark`."""
+    """What changes whenever a file of a log does; see :func:`~salpcc.schemas.marks.mark`."""
     try:
         return " | ".join(mark(file) for file in _files(path))
     except OSError as error:

@@ -17,8 +17,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema, Statistics
 
 from salpcc.schemas.errors import SourceError
-from salpcc.schemas.files import mark, reading, why
+from salpcc.schemas.files import reading, why
 from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.marks import mark
 from salpcc.schemas.mcap_chunks import (
     HEAD,
     MAX_RECORD,
