@@ -19,7 +19,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SalpccError, UsageError
-from salpcc.schemas.labels import CLASSES
+from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.manifest import expand_sequences
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.confusion import UNLABELLED, confusion
@@ -49,6 +49,8 @@ MEASURES = {
     "miou": "mIoU, 19 classes",
     "miou_12": "mIoU, the paper's classes",
 }
+# Of the points of these classes, the share that is called movable, as whatever vehicle.
+FOUND = {"cars found": ("car",), "trucks, buses and the like found": ("truck", "other-vehicle")}
 Counts = dict[str, NDArray[np.int64]]
 _NONE = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
 
@@ -97,12 +99,23 @@ def _counts(found: Segmentation, scan: Scan) -> NDArray[np.int64]:
 def _rows(sequence: str, counts: Counts) -> list[dict[str, Any]]:
     rows = []
     for variant, count in counts.items():
-        values = scores(count)
+        found = scores(count)
+        values = {name: found[key] for key, name in MEASURES.items()} | _found(count)
         rows += [
-            {"study": STUDY, "sequence": sequence, "variant": variant, "measure": name, "value": values[key]}
-            for key, name in MEASURES.items()
+            {"study": STUDY, "sequence": sequence, "variant": variant, "measure": name, "value": value}
+            for name, value in values.items()
         ]
     return rows
+
+
+def _found(count: NDArray[np.int64]) -> dict[str, float]:
+    by_group = count[:, GROUP_OF_CLASS == MOVABLE].sum(axis=1)
+    shares = {}
+    for name, classes in FOUND.items():
+        rows = [i for i, c in enumerate(CLASSES) if c.name in classes]
+        points = count[rows].sum()
+        shares[name] = float(by_group[rows].sum() / points) if points else float("nan")
+    return shares
 
 
 def _fold(text: str) -> tuple[str, Path]:
@@ -124,8 +137,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except SalpccError as error:
         parser.error(str(error))
     record(options.out, ablations=pa.Table.from_pylist(rows, schema=ABLATIONS))
-    for start in range(0, len(rows), len(MEASURES)):
-        part = rows[start : start + len(MEASURES)]
+    for start in range(0, len(rows), len(MEASURES) + len(FOUND)):
+        part = rows[start : start + len(MEASURES) + len(FOUND)]
         values = "  ".join(f"{row['value']:.3f}" for row in part)
         print(f"{part[0]['sequence']:4} {part[0]['variant']:40} {values}")
 

@@ -71,6 +71,7 @@ def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
         max_error -= rounding
     if max_error < _ROUNDING and len(sweep.laser):
         return sweep
+    moved = sweep.motion if len(sweep.laser) == 0 else None
     source = sweep_to_scan(sweep, sensor)
     on, off = source_places(sweep, sensor)
     step = counts_per_level(max_error, sensor.count)
@@ -98,6 +99,8 @@ def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
         ulp=none,
         classes=None if sweep.classes is None else sweep.classes[fits],
         stray_index=stray,
-        stray_points=np.column_stack([snap(source.points[stray], max_error), source.intensity[stray]]),
+        stray_points=np.column_stack(
+            [snap(source.points[stray], max_error, sensor, moved), source.intensity[stray]]
+        ),
         stray_classes=None if classes is None else classes[stray],
     )

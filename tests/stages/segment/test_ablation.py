@@ -39,6 +39,7 @@ def test_the_last_variant_is_what_a_run_does(tmp_path: Path, sensor) -> None:
         counts += confusion(scan.classes[known], sweep_to_scan(sweep, sensor).classes[known], len(CLASSES))
     expected = scores(counts)
     assert rows[-1]["movable"] == pytest.approx(expected["movable"])
+    assert rows[-1]["cars found"] == pytest.approx(counts[1, 1:9].sum() / counts[1].sum())
     assert rows[-1]["ground"] == pytest.approx(expected["ground"])
 
 
