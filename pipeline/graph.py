@@ -21,9 +21,18 @@ from distributed import Client, Future, as_completed
 from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
+from salpcc.pipeline.digests import all_known, recall
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.progress import Report
-from salpcc.pipeline.sequence import archive_path, baseline_gop, evaluate_gop, finish, finished
+from salpcc.pipeline.sequence import (
+    archive_path,
+    baseline_gop,
+    evaluate_gop,
+    finish,
+    finished,
+    known_files,
+    recorded,
+)
 from salpcc.pipeline.store import ShardStore
 from salpcc.pipeline.tasks import GopResult, run_stage, source_digest
 from salpcc.schemas.config import RunConfig
@@ -115,18 +124,31 @@ class Graph:
 
     def _begin(self, outcome: Outcome) -> None:
         """Queue the GOPs of a sequence, or only its evaluation where the archive is done."""
-        plan, options = outcome.plan, self._options
+        options = self._options
+        record = recorded(self._out, outcome.plan.sequence)
+        given = self._config.labels == "given"
+        outcome.plan = plan = recall(outcome.plan, record.get("files", {}), given)
         reusable = options.reaches("residual_code") and (not options.forced or options.first == "evaluate")
         if reusable and archive_path(self._out, plan.sequence).is_file():
-            futures = self._client.map(source_digest, plan.gops, config=self._config, pure=False)
-            digests = [result.origin for result in self._client.gather(futures)]
-            outcome.record = finished(plan, digests, self._config, self._out)
+            digests = self._digests(plan)
+            if finished(plan, digests, record, self._config, self._out):
+                outcome.record = record
+            else:
+                outcome.plan = plan = recall(plan, known_files(plan, digests), given)
         if outcome.record is not None:
             self._report.advance(plan.n_scans, f"{plan.sequence}: archive is done")
             self._jobs.extend(self._evaluation(outcome))
             return
         for gop in plan.gops:
             self._jobs.append((partial(self._chain, gop), partial(self._coded, outcome, gop)))
+
+    def _digests(self, plan: SequencePlan) -> list[GopResult]:
+        """Digest the source of each GOP; where files have to be read, workers do it."""
+        given = self._config.labels == "given"
+        unread = [gop for gop in plan.gops if not all_known(gop, given)]
+        futures = self._client.map(source_digest, unread, config=self._config, pure=False)
+        read = {gop.number: self._value(future) for gop, future in zip(unread, futures, strict=True)}
+        return [read.get(gop.number) or source_digest(gop, self._config) for gop in plan.gops]
 
     def _chain(self, gop: GopSource) -> Future[Any]:
         name = f"{gop.sequence}-{gop.number:05d}"

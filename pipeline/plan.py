@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.schemas.work import GopSource, ScanError, ScanRef
+from salpcc.schemas.work import GopSource, Known, ScanError, ScanRef
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.bag import Bag
 
 
 @dataclass(frozen=True)
 class SequencePlan:
-    """The GOPs of one sequence, in order."""
+    """The GOPs of one sequence, in order; ``known`` are the digests that were not read again."""
 
     sequence: str
     gops: tuple[GopSource, ...]
+    known: Known = field(default_factory=dict)
 
     @property
     def n_scans(self) -> int:

@@ -14,17 +14,18 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.digests import digest_scan
 from salpcc.pipeline.encode import payloads_of
 from salpcc.pipeline.logs import passing_log
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.store import ShardStore
-from salpcc.pipeline.tasks import VERSIONS, GopResult, file_digest, lost
+from salpcc.pipeline.tasks import VERSIONS, GopResult, lost
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import atomic, unreachable
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import list_array
-from salpcc.schemas.work import GopSource, ScanRef, ShardRef, digest_of
+from salpcc.schemas.work import GopSource, Known, ScanRef, ShardRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
 from salpcc.stages.evaluate.baseline_figures import OURS
 from salpcc.stages.evaluate.baselines import BASELINES, measure
@@ -49,26 +50,40 @@ def record_path(out: Path, sequence: str) -> Path:
     return out / "records" / f"{sequence}.json"
 
 
-def inputs_digest(plan: SequencePlan, digests: list[str], config: RunConfig) -> str:
-    """Digest what an archive is made of; ``digests`` are those of :func:`source_digest`, by GOP."""
+def inputs_digest(plan: SequencePlan, results: list[GopResult], config: RunConfig) -> str:
+    """Digest what an archive is made of; ``results`` are those of :func:`source_digest`, or of later stages, by GOP."""
     source = plan.gops[0].source
-    return digest_of(plan.sequence, source, config.digest, digests)
+    return digest_of(plan.sequence, source, config.digest, [result.origin for result in results])
 
 
-def finished(plan: SequencePlan, digests: list[str], config: RunConfig, out: Path) -> dict[str, Any] | None:
-    """Return the record of a sequence whose archive is complete and made of these very inputs.
+def recorded(out: Path, sequence: str) -> dict[str, Any]:
+    """Return the record of a sequence; empty where there is none that can be read."""
+    try:
+        record = json.loads(record_path(out, sequence).read_text())
+    except (OSError, ValueError):
+        return {}
+    return dict(record) if record.get("version") == RECORD_VERSION else {}
 
-    None where it has to be made: no archive, a damaged one, other inputs, or GOPs that failed.
+
+def finished(
+    plan: SequencePlan, results: list[GopResult], record: dict[str, Any], config: RunConfig, out: Path
+) -> bool:
+    """Tell whether the archive of a sequence is complete and made of these very inputs.
+
+    It has to be made where there is none or a damaged one, where other inputs went into it, or GOPs failed.
     """
     try:
-        record: dict[str, Any] = json.loads(record_path(out, plan.sequence).read_text())
         inputs = ArchiveReader(archive_path(out, plan.sequence)).facts.inputs
-    except (OSError, ValueError, ArchiveError):
-        return None
-    wanted = inputs_digest(plan, digests, config)
-    same = inputs == wanted == record.get("inputs") and record.get("version") == RECORD_VERSION
+    except ArchiveError:
+        return False
+    if not inputs == inputs_digest(plan, results, config) == record.get("inputs"):
+        return False
     # What failed to be read is done again when its bytes change; what failed in a kernel is tried again.
-    return record if same and all(e["stage"] == "ingest" for e in record["errors"]) else None
+    if any(error["stage"] != "ingest" for error in record["errors"]):
+        return False
+    if any(result.learned for result in results):  # files were touched, and hold what they held
+        _write_record(record | {"files": known_files(plan, results)}, out, plan.sequence)
+    return True
 
 
 def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out: Path) -> dict[str, Any]:
@@ -76,7 +91,8 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
     store = ShardStore(out)
     record: dict[str, Any] = {
         "version": RECORD_VERSION,
-        "inputs": inputs_digest(plan, [result.origin for result in results], config),
+        "inputs": inputs_digest(plan, results, config),
+        "files": known_files(plan, results),
         "errors": [],
         "times": [],
         "peak_mb": 0.0,
@@ -88,8 +104,7 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
         facts = store.facts(dict(result.shards)["residual_code"])
         record["times"] += [[gop.number, *row] for row in facts["times"]]
         record["peak_mb"] = max(record["peak_mb"], facts["peak_mb"])
-    with atomic(record_path(out, plan.sequence)) as stream:
-        stream.write(json.dumps(record, indent=1).encode())
+    _write_record(record, out, plan.sequence)
     facts_ = ArchiveFacts(
         plan.sequence, plan.gops[0].source, record["inputs"], config.coding, load_sensor(config.sensor)
     )
@@ -100,6 +115,16 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
     log = passing_log(plan, {error["scan"] for error in record["errors"]}, config)
     write_archive(archive_path(out, plan.sequence), facts_, payloads, log)
     return record
+
+
+def known_files(plan: SequencePlan, results: list[GopResult]) -> Known:
+    """What the next run may know of the files without reading them."""
+    return plan.known | {name: known for result in results for name, known in result.learned.items()}
+
+
+def _write_record(record: dict[str, Any], out: Path, sequence: str) -> None:
+    with atomic(record_path(out, sequence)) as stream:
+        stream.write(json.dumps(record).encode())
 
 
 def _payloads(store: ShardStore, result: GopResult, dropped: ShardRef) -> list[ScanPayload]:
@@ -193,7 +218,7 @@ def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
     lacks its program or package is asked again by the next run.
     """
     store = ShardStore(out)
-    scans = [[ref.name, ref.digest or file_digest(ref.path)] for ref in gop.scans]
+    scans = [[ref.name, digest_scan(ref, with_labels=False)[0][0]] for ref in gop.scans]
     more: list[Any] = [VERSIONS] if name == OURS else []  # our own codec changes
     if missing := BASELINES[name].missing():
         more.append(missing)

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import hashlib
 import resource
 import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from salpcc.pipeline.digests import digest_scan
 from salpcc.pipeline.isolate import only, run_isolated
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ShardError
-from salpcc.schemas.files import location, reading, unreachable
+from salpcc.schemas.files import unreachable
 from salpcc.schemas.shards import OF_STAGE, facts_of
-from salpcc.schemas.work import STAGES, GopSource, ScanError, ShardRef, digest_of
+from salpcc.schemas.work import STAGES, GopSource, Known, ScanError, ShardRef, digest_of
 from salpcc.stages.evaluate import stage as evaluate
 from salpcc.stages.ground_fit import stage as ground_fit
 from salpcc.stages.ingest import stage as ingest
@@ -59,7 +59,7 @@ class GopResult:
     """What became of a GOP at one stage: its shards so far, or (``failed``) the reason in ``errors``.
 
     ``origin`` is the digest of its source, ``digest`` that of the stage's result; ``errors`` lists the
-    scans lost on the way.
+    scans lost on the way, ``learned`` the digests of files that were read for ``origin``.
     """
 
     origin: str
@@ -67,30 +67,22 @@ class GopResult:
     shards: tuple[tuple[str, ShardRef], ...] = ()
     errors: tuple[ScanError, ...] = ()
     failed: bool = False
+    learned: Known = field(default_factory=dict)
 
 
 def source_digest(gop: GopSource, config: RunConfig) -> GopResult:
     """Digest all that decides what becomes of a GOP: the bytes of its files, the configuration, the code."""
     parts: list[Any] = [config.digest, {stage: VERSIONS[stage] for stage in STAGES[:-1]}]
+    learned: Known = {}
     for ref in gop.scans:
-        if ref.digest:
+        if ref.topic:
             parts.append([ref.name, ref.number, ref.time, ref.topic, ref.at, ref.digest])
             continue
-        files = [ref.path, ref.labels] if config.labels == "given" else [ref.path]
-        parts.append([ref.name, ref.number, ref.time, *(file_digest(file) for file in files)])
+        digests, more = digest_scan(ref, config.labels == "given")
+        parts.append([ref.name, ref.number, ref.time, *digests])
+        learned |= more
     digest = digest_of(*parts)
-    return GopResult(digest, digest)
-
-
-def file_digest(path: str | None) -> str:
-    """SHA-256 of a file, or a word for why there is none."""
-    if path is None:
-        return "absent"
-    try:
-        with reading(location(path)) as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:  # it will fail in ingest too, and be done again once it is readable
-        return f"unreadable: {error.errno}"
+    return GopResult(digest, digest, learned=learned)
 
 
 def run_stage(

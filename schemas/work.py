@@ -6,6 +6,9 @@ import hashlib
 import json
 from dataclasses import dataclass
 
+Known = dict[
+    str, tuple[str, str]
+]  # by name of a file its mark (schemas.marks), and the digest that it then had
 STAGES = ("ingest", "segment", "ground_fit", "predict", "residual_code", "evaluate")
 
 
@@ -20,7 +23,7 @@ class ScanRef:
         time: nanoseconds since the start of the log.
         labels: the ``.label`` file, or None where there is none.
         topic, at: of a message in a log: its topic, and its place as the log tells it.
-        digest: of the log's bytes, so that they are not read for every message.
+        digest, labels_digest: of the bytes of path and labels, where they are known; messages share their log's.
     """
 
     name: str
@@ -31,6 +34,7 @@ class ScanRef:
     topic: str = ""
     at: tuple[int, ...] = ()
     digest: str = ""
+    labels_digest: str = ""
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,14 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from salpcc.pipeline import Archive
+from salpcc.pipeline import Archive, digests
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.verify import verify
+from salpcc.schemas import marks
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError
-from salpcc.stages.ingest.sources.bag import Bag, find_log, open_log
+from salpcc.stages.ingest.sources.bag import Bag, digest_log, find_log, open_log
 
 CLOUD, TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
 START = 1_600_000_000_000_000_000
@@ -271,6 +272,17 @@ def test_reports_and_verifies_like_any_run(logs: Path, coded: Path) -> None:
         verdict = verify(coded / "archives" / f"{name}.mcap", find_log(logs, name))
         assert verdict.good and verdict.bit_exact_scans == 8
         assert verdict.passed_messages == (10 if name == "bare" else 9)
+
+
+def test_a_second_run_reads_no_log_for_its_digest(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[Path] = []
+    monkeypatch.setattr(digests, "digest_log", lambda path: read.append(path) or digest_log(path))
+    monkeypatch.setattr(marks, "_REST", 0)
+    for _ in range(2):
+        assert not run_logs(logs, tmp_path, ["bare", "sqlite"]).failed
+        assert read == [logs / "bare.mcap", logs / "sqlite"]
 
 
 def test_verify_finds_another_message(logs: Path, coded: Path, tmp_path: Path) -> None:

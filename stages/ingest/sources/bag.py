@@ -136,7 +136,7 @@ def digest_log(path: Path) -> str:
     """SHA-256 over the bytes of a log's files."""
     digest = hashlib.sha256()
     try:
-        for file in _files(path):
+        for file in log_files(path):
             with reading(file) as stream:
                 digest.update(hashlib.file_digest(stream, "sha256").digest())
     except OSError as error:
@@ -147,12 +147,13 @@ def digest_log(path: Path) -> str:
 def log_mark(path: Path) -> str:
     """What changes whenever a file of a log does; see :func:`~salpcc.schemas.marks.mark`."""
     try:
-        return " | ".join(mark(file) for file in _files(path))
+        return " | ".join(mark(file) for file in log_files(path))
     except OSError as error:
         raise SourceError(f"{path}: {why(error)}") from error
 
 
-def _files(path: Path) -> list[Path]:
+def log_files(path: Path) -> list[Path]:
+    """List the files that a log is."""
     return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
 
 
