@@ -1,68 +1,165 @@
-"""Refit a sensor model on recorded scans: read, undo the motion, fit, say how well it does."""
+"""Fit a sensor model to recorded scans: read them, undo KITTI's motion where there is any, fit, say how well it does."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.stages.ingest.calibrate import fit_sensor, share_exact
+from salpcc.schemas.errors import SensorError, SourceError, UsageError
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.calibrate import Fit, fit_sensor, share_exact
+from salpcc.stages.ingest.find_lasers import Listed
 from salpcc.stages.ingest.motion_search import is_raw, solve_motion
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
-from salpcc.stages.ingest.sources.velodyne_bin import read_points
+from salpcc.stages.ingest.sources.bag import Bag
+from salpcc.stages.ingest.sources.velodyne_bin import read_points, read_points_with_rings
 from salpcc.stages.ingest.untwist import untwist
 
+_RING_FIELDS = ("ring", "channel", "laser_id", "line")
+_LEAST_FOR_MOTION = 200
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Calibration:
-    """A fitted model, and the shares of points that it and its start give back to the millimetre."""
+    """A fit, the scans that it was made of and those left out, and the share of points that it gives back to the millimetre.
 
-    model: SensorModel
+    ``exact`` is None where coordinates are no whole millimetres.
+    """
+
+    fit: Fit
     scans: int
     left_out: int
-    exact_before: float
-    exact: float
+    exact: float | None
 
 
-def calibrate_log(log: Path, start: str, at_most: int, name: str) -> Calibration:
-    """Fit a sensor model to the ``.bin`` scans in ``log`` or anywhere below it.
+def calibrate_log(log: Path, at_most: int, name: str, topics: tuple[str, ...] = ()) -> Calibration:
+    """Fit a sensor model to the scans of a log, or to the ``.bin`` and ``.pcd.bin`` scans in a folder or below it.
 
     Args:
-        start: sensor model that gives ticks per turn and count size, and is compared with.
         at_most: number of scans to use, evenly spread over all.
         name: of the new model.
+        topics: of a log, where it has clouds of more than one.
 
     Raises:
-        UsageError: no scans there.
+        UsageError: no scans there, or clouds of several topics.
         SensorError: the scans are not of one spinning sensor.
     """
-    files = sorted(log.rglob("*.bin"))
-    if not files:
-        raise UsageError(f"{log}: no .bin scans found there or below")
-    chosen = [
-        files[i] for i in np.unique(np.linspace(0, len(files) - 1, min(at_most, len(files))).astype(int))
-    ]
-    raw = [points for points in (raw_points_of(file) for file in chosen) if points is not None]
-    like = load_sensor(start)
-    model = fit_sensor(raw, like, name)
-    return Calibration(
-        model, len(raw), len(chosen) - len(raw), share_exact(like, raw), share_exact(model, raw)
-    )
-
-
-def raw_points_of(file: Path) -> NDArray[np.int64] | None:
-    """Raw points ``(N, 3)`` in mm of one scan, its motion undone; None where that cannot be done."""
+    listed = list(_scans_of(log, at_most, topics))
+    raw = [_raw(scan) for scan in listed]
+    rounded = 2 * sum(scan is not None for scan in raw) > len(listed)
+    kept = [scan for scan in raw if scan is not None] if rounded else [s for s in listed if len(s.points)]
+    if not kept:
+        raise SensorError(
+            f"{log}: no points in its {len(listed)} scans; is it a scan of float32 x, y, z, intensity?"
+        )
     try:
-        points, _ = read_points(file)
-    except SourceError:
+        fit = fit_sensor(kept, name, rounded)
+    except SensorError as error:
+        raise SensorError(f"{log}: {error}") from error
+    return Calibration(fit, len(kept), len(listed) - len(kept), share_exact(fit) if rounded else None)
+
+
+def summary(found: Calibration) -> list[str]:
+    """Say in a few lines what was found and how well it fits."""
+    fit, model = found.fit, found.fit.model
+    elevation = np.degrees(model.theta)
+    levers = [f"{1000 * np.abs(values).max():.1f}" for values in (model.h, model.z0, model.d0)]
+    rare = f", {fit.missing} more with too few points" if fit.missing else ""
+    ticks = f"{model.ticks_per_turn} ticks a turn, {360 / model.ticks_per_turn:.4f} deg"
+    count = f"{1000 * model.count:g} mm"
+    shares = ", ".join(f"{fit.share_within(mm / 1000):.1%} within {mm} mm" for mm in (1, 5, 20))
+    lines = [
+        (
+            f"{model.n_lasers} lasers at {elevation.min():.2f} to {elevation.max():.2f} deg{rare}, "
+            f"from {found.scans} scans ({found.left_out} left out)"
+        ),
+        f"azimuth step: {ticks} (coherence {fit.ticks_line:.2f})"
+        if fit.ticks_line
+        else f"azimuth step: none found; {ticks}",
+        f"range step: {count} (coherence {fit.count_line:.2f})"
+        if fit.count_line
+        else f"range step: none found; {count}",
+        f"largest lever arms: {levers[0]} mm sideways, {levers[1]} mm up, {levers[2]} mm along the beam",
+        f"misfit of {len(fit.off)} points: median {1000 * np.median(fit.off):.3g} mm; {shares}",
+    ]
+    if fit.moved:
+        lines.append(f"motion during the turn: undone in {fit.moved} scans")
+    if found.exact is not None:
+        lines.append(f"gives {found.exact:.2%} of the points back to the millimetre")
+    return lines
+
+
+def _scans_of(log: Path, at_most: int, topics: tuple[str, ...]) -> Iterator[Listed]:
+    """Read scans, evenly spread; what cannot be read has no points."""
+    names = Bag().sequences(log) if log.exists() else []
+    if log.suffix in (".mcap", ".bag") or (len(names) == 1 and not any(log.rglob("*.bin"))):
+        bag = Bag()
+        refs = bag.scans(log, names[0] if names else log.stem, topics)
+        if len({ref.topic for ref in refs}) > 1:
+            raise UsageError(
+                f"{log}: clouds on {', '.join(sorted({r.topic for r in refs}))}; choose one with --topic"
+            )
+        for ref in _spread(refs, at_most):
+            yield listed_of(bag.read(ref, with_labels=False))
+        return
+    files = [log] if log.is_file() else sorted(log.rglob("*.bin"))
+    if not files:
+        raise UsageError(f"{log}: no .bin or .pcd.bin scans found there or below, and no log. {Bag.hint}")
+    for file in _spread(files, at_most):
+        try:
+            if file.name.endswith(".pcd.bin"):
+                points, _, ring = read_points_with_rings(file)
+                yield Listed(points.astype(np.float64), ring)
+            else:
+                yield Listed(read_points(file)[0].astype(np.float64))
+        except SourceError:
+            yield Listed(np.zeros((0, 3)))
+
+
+def listed_of(scan: Scan) -> Listed:
+    """Take a scan of a log as calibration wants it: ring numbers and rows where the message has them."""
+    points, cloud = scan.points.astype(np.float64), scan.cloud
+    if cloud is None:
+        return Listed(points)
+    layout = cloud.layout
+    field = next((c for c in layout.columns if c.name in _RING_FIELDS), None)
+    ring = None if field is None else _whole(cloud.values(field))
+    return Listed(points, ring, layout.width if cloud.whole and layout.height > 1 else 0)
+
+
+def _whole(values: NDArray[np.generic]) -> NDArray[np.int64] | None:
+    """Ring numbers as integers; None where they are no such thing."""
+    numbers = values.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        sound = (numbers == np.rint(numbers)) & (numbers >= 0) & (numbers < 4096)
+    return numbers.astype(np.int64) if sound.all() else None
+
+
+def _spread(things: list[Any], at_most: int) -> list[Any]:
+    if not things:
+        return []
+    return [
+        things[i] for i in np.unique(np.linspace(0, len(things) - 1, min(at_most, len(things))).astype(int))
+    ]
+
+
+def _raw(scan: Listed) -> Listed | None:
+    """The points of a scan as whole millimetres, KITTI's motion undone; None where that cannot be done."""
+    points = scan.points.astype(np.float32)
+    if len(points) < _LEAST_FOR_MOTION or not np.isfinite(points).all():
         return None
-    if len(points) == 0:
-        return None
-    motion = None if is_raw(points) else solve_motion(points)
-    if motion is None and not is_raw(points):
-        return None
+    motion = None
+    if not is_raw(points):
+        try:
+            motion = solve_motion(points)
+        except np.linalg.LinAlgError:  # nothing like a turn of a sensor
+            return None
+        if motion is None:
+            return None
     raw, _, explained = untwist(points, motion)
-    return raw[explained]
+    ring = None if scan.ring is None else scan.ring[explained]
+    return Listed(raw[explained] / 1000.0, ring, scan.width if explained.all() else 0)

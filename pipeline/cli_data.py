@@ -19,7 +19,9 @@ def register(app: typer.Typer) -> None:
         simulate
     )
     app.command(
-        epilog="Example:  `salpcc-pipeline calibrate DIR/2011_09_26_drive_0005_sync --out sensor.json`"
+        epilog="Examples:  `salpcc-pipeline calibrate drive.mcap --out os1.json` then "
+        "`salpcc-pipeline run log drive.mcap --sensor os1.json`  ·  "
+        "`salpcc-pipeline calibrate DIR/2011_09_26_drive_0005_sync --out hdl64e.json`"
     )(calibrate)
     app.command(epilog="Example:  `salpcc-pipeline report out`")(report)
 
@@ -41,21 +43,27 @@ def simulate(
 
 
 def calibrate(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A folder of .bin scans, or one above it")],
+    log: Annotated[
+        Path,
+        typer.Argument(
+            metavar="LOG",
+            help="A folder of .bin or .pcd.bin scans or one above it, a scan, an MCAP file, a bag",
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="Where the sensor model is written")],
-    start: Annotated[str, typer.Option(help="Sensor model to start from")] = "hdl64e",
+    topic: Annotated[str | None, typer.Option(help="Point clouds to use, of a log that has several")] = None,
     scans: Annotated[int, typer.Option(min=1, help="At most this many scans, evenly spread")] = 40,
 ) -> None:
-    """Refit the sensor model on recorded scans."""
-    from salpcc.pipeline.calibrate import calibrate_log
+    """Find the lasers, steps and lever arms of any spinning LiDAR from its scans alone, and write them as a sensor model."""
+    from salpcc.pipeline.calibrate import calibrate_log, summary
 
-    found = calibrate_log(log, start, scans, out.stem)
+    if not log.exists():
+        raise UsageError(f"{log}: not found; name a folder of scans, a scan, or a log")
+    found = calibrate_log(log, scans, out.stem, (topic,) if topic else ())
     with atomic(out) as stream:
-        stream.write(found.model.to_json().encode())
-    typer.echo(
-        f"{found.model.n_lasers} lasers from {found.scans} scans ({found.left_out} left out): gives "
-        f"{found.exact:.2%} of the points back to the millimetre, {start} gives {found.exact_before:.2%}"
-    )
+        stream.write(found.fit.model.to_json().encode())
+    for line in summary(found):
+        typer.echo(line)
     typer.echo(f"sensor model: {out}; use it with --sensor {out}")
 
 

@@ -1,170 +1,201 @@
-"""Fit a sensor model to scans: five numbers per laser, and the shift of its firings.
+"""Fit a sensor model to scans of a sensor that nothing is known of: lasers, steps, five numbers per laser, shifts.
 
-SENSOR_LATTICE.md, section 1. Every measured coordinate is a lattice point rounded to 1 mm, so the noise
-is uniform and bounded: after Gauss-Newton on all residuals, a second fit looks only at coordinates
-beyond half a millimetre, which the right parameters do not have. That takes the points that need no
-correction from 98.8 to 99.7 %.
+Points of a laser lie on a cone; their azimuths are whole ticks and their ranges whole counts, more or less. What has
+none of these steps still gets a model of fine ones: then directions are known to a tick, and no better.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError
-from salpcc.stages.ingest.lattice import project, unproject
+from salpcc.stages.ingest.aim import aim
+from salpcc.stages.ingest.find_lasers import Listed, find_lasers
+from salpcc.stages.ingest.find_steps import find_count, find_ticks
+from salpcc.stages.ingest.fit_laser import fit_laser
+from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.list_motion import fit_cones, places, solve, undo
 from salpcc.stages.ingest.sensor_model import SensorModel
 
-_HALF = 0.0005  # metres, half the step of the published coordinates
-_FAR_OFF = 0.0025  # residuals beyond this are not of this laser
 _MOST_POINTS = 150_000  # per laser
 _LEAST_POINTS = 200
+_REASSIGNED = 0.01  # metres from another laser's cone
+_WORTH_IT = 0.5  # of the misfit of the cones, that undoing a motion leaves
+_EXPLAINED = 0.02  # metres
+_LEAST_EXPLAINED, _LEAST_LASERS = 0.5, 0.7  # of the returns, and of the lasers, of any scan
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 
-def split_rings(raw: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Cut raw points ``(N, 3)`` mm in file order where the azimuth falls back by more than half a turn."""
-    azimuth = np.arctan2(raw[:, 1], raw[:, 0]) % (2 * np.pi)
-    return np.split(raw, np.flatnonzero(np.diff(azimuth) < -np.pi) + 1)
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model, and how well it fits.
+
+    Attributes:
+        missing: lasers that were seen, but too rarely to be fitted.
+        ticks_line, count_line: coherence of azimuths and ranges at the steps of the model, 0 to 1; 0: no such steps.
+        moved: scans whose motion had to be undone.
+        raw, laser: points ``(N, 3)`` and their lasers ``(N,)`` per scan, motion undone; -1 is no return of a fitted laser.
+        off: distance of each return of all scans from its model point, metres.
+    """
+
+    model: SensorModel
+    missing: int
+    ticks_line: float
+    count_line: float
+    moved: int
+    raw: list[F64]
+    laser: list[I64]
+    off: F64
+
+    def share_within(self, metres: float) -> float:
+        """Share of the returns that the model explains so well."""
+        return float((self.off <= metres).mean())
 
 
-def fit_sensor(scans: list[NDArray[np.int64]], like: SensorModel, name: str) -> SensorModel:
-    """Fit a model to raw scans (motion undone), each ``(N, 3)`` int64 in mm, file order kept.
+def fit_sensor(scans: Sequence[Listed], name: str, rounded: bool) -> Fit:
+    """Fit a model to scans, the motion of KITTI's kind undone.
 
     Args:
-        like: gives ticks per turn and count size; its lasers are not used.
+        rounded: coordinates are whole millimetres.
 
     Raises:
-        SensorError: the scans have no common number of rings, or a ring too few points.
+        SensorError: too few points, no cones, or scans that are not of one sensor.
     """
-    rings = [split_rings(raw) for raw in scans if len(raw)]
-    if not rings:
+    kept = [scan for scan in scans if len(scan.points)]
+    if not kept:
         raise SensorError("no scan to calibrate on")
-    lasers = int(np.bincount([len(r) for r in rings]).argmax())
-    rings = [r for r in rings if len(r) == lasers]
-    fitted = []
-    for k in range(lasers):
-        points = np.concatenate([r[k] for r in rings]) / 1000.0
-        if len(points) < _LEAST_POINTS:
-            raise SensorError(
-                f"laser {k} has {len(points)} points, {_LEAST_POINTS} are needed: use more scans"
-            )
-        fitted.append(_fit_laser(points[:: len(points) // _MOST_POINTS + 1], like))
+    laser, firing = find_lasers(kept)
+    lasers = 1 + max(int(k.max()) for k in laser)
+    raw, ticks, count, moved = _undone([scan.points for scan in kept], laser, lasers, firing)
+    laser = _on_cones(raw, laser, lasers)
+    enough = np.sum([np.bincount(k[k >= 0], minlength=lasers) for k in laser], axis=0)
+    good = np.flatnonzero(enough >= _LEAST_POINTS)
+    if len(good) <= lasers // 2:
+        k = int(enough.argmin())
+        raise SensorError(f"laser {k} has {enough[k]} points, {_LEAST_POINTS} are needed: use more scans")
+    own = [np.concatenate([q[k == j] for q, k in zip(raw, laser, strict=True)]) for j in good]
+    found_ticks, ticks_line = find_ticks(own)
+    cones = [fit_cones(q, np.zeros(len(q), np.int64), 1)[0] for q in own]
+    found_count, count_line = find_count(
+        [_along(q, float(c.slope[0]), float(c.height[0])) for q, c in zip(own, cones, strict=True)]
+    )
+    ticks, count = ticks or found_ticks, count or found_count
+    fitted = [fit_laser(q[:: len(q) // _MOST_POINTS + 1], ticks, count, rounded) for q in own]
     # A nanoradian at 100 m and a tenth of a micrometre say no more; short numbers keep archives short.
-    columns = np.array(fitted).T
-    theta, z0, h, phi0, d0 = (np.round(c, n) for c, n in zip(columns, (9, 7, 7, 9, 7), strict=True))
-    no_shift = np.zeros(lasers, np.int64)
-    model = replace(like, name=name, theta=theta, z0=z0, h=h, phi0=phi0, d0=d0, shift=no_shift)
-    return replace(model, shift=_find_shifts(model, rings))
+    theta, z0, h, phi0, d0 = (
+        np.round(c, n) for c, n in zip(np.array(fitted).T, (9, 7, 7, 9, 7), strict=True)
+    )
+    model = SensorModel(name, ticks, count, theta, z0, h, phi0, d0, np.zeros(len(good), np.int64))
+    renumbered = np.full(lasers + 1, -1)
+    renumbered[good] = np.arange(len(good))
+    laser = [renumbered[k] for k in laser]
+    aimed = [aim(model, q, k) for q, k in zip(raw, laser, strict=True)]
+    model = SensorModel(name, ticks, count, theta, z0, h, phi0, d0, find_shifts(model, aimed, laser))
+    off = [a[3][k >= 0] for a, k in zip(aimed, laser, strict=True)]
+    _check(off, laser, len(good))
+    return Fit(model, lasers - len(good), ticks_line, count_line, moved, raw, laser, np.concatenate(off))
 
 
-def share_exact(model: SensorModel, scans: list[NDArray[np.int64]]) -> float:
-    """Return the share of points of raw scans that the model gives back to the millimetre."""
+def share_exact(fit: Fit, model: SensorModel | None = None) -> float:
+    """Share of the returns of a fit that its model, or another of as many lasers, gives back to the millimetre."""
+    model = model or fit.model
     exact = total = 0
-    for raw in scans:
-        for k, ring in enumerate(split_rings(raw)[: model.n_lasers]):
-            laser = np.full(len(ring), k)
-            tick, count = project(model, laser, ring)
-            back = np.rint(unproject(model, laser.astype(np.uint8), tick, count) * 1000.0)
-            exact += int((back == ring).all(axis=1).sum())
-            total += len(ring)
+    for raw, laser in zip(fit.raw, fit.laser, strict=True):
+        seen = laser >= 0
+        k, tick, count, _ = aim(model, raw[seen], laser[seen])
+        back = unproject(model, k.astype(np.uint8), tick.astype(np.int32), count.astype(np.float64))
+        exact += int((np.rint(back * 1000.0) == np.rint(raw[seen] * 1000.0)).all(axis=1).sum())
+        total += int(seen.sum())
     return exact / max(total, 1)
 
 
-def _fit_laser(q: NDArray[np.float64], like: SensorModel) -> NDArray[np.float64]:
-    """Fit (theta, z0, h, phi0, d0) to the points ``(N, 3)`` of one laser, in metres."""
-    p = _start(q, like)
-    for _ in range(12):
-        e, jacobian = _residuals(q, p, like)
-        ok = np.abs(e).max(axis=1) < _FAR_OFF
-        p = p + np.linalg.lstsq(jacobian[ok].reshape(-1, 5), e[ok].reshape(-1), rcond=None)[0]
-    best, best_share = p, -1.0
-    scale = np.array([5e-5, 1e-3, 1e-3, 5e-5, 1e-3])  # angles count at 20 m
-    for _ in range(40):
-        e, jacobian = _residuals(q, p, like)
-        beyond = np.sign(e) * np.maximum(np.abs(e) - _HALF, 0.0)
-        active = (beyond != 0) & (np.abs(beyond) < 0.6 * _HALF)
-        share = 1.0 - active.any(axis=1).mean()
-        if share > best_share:
-            best, best_share = p, share
-        if not active.any():
-            break
-        a = jacobian[active] * scale
-        normal = a.T @ a
-        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(5), a.T @ beyond[active])
-        p = p + 0.7 * scale * step
-    return best
+def _undone(
+    points: list[F64], laser: list[I64], lasers: int, firing: int
+) -> tuple[list[F64], int, float, int]:
+    """Undo the motion of scans that list firings, where it can be told; with the ticks and count that told it, else 0."""
+    if not firing:
+        return points, 0, 0.0, 0
+    raw, ticks, count, moved = [], 0, 0.0, 0
+    for q, k in zip(points, laser, strict=True):
+        s = places(len(q), firing)
+        found = solve(q, k, s, lasers)
+        undone = q if found is None else undo(q, s, found.motion)
+        if found is None or _misfit(undone, k, lasers) > _WORTH_IT * _misfit(q, k, lasers):
+            raw.append(q)
+            continue
+        raw.append(undone)
+        ticks, count, moved = found.ticks, found.count, moved + 1
+    return raw, ticks, count, moved
 
 
-def _start(q: NDArray[np.float64], like: SensorModel) -> NDArray[np.float64]:
-    """The cone from a line fit of z on rho, the rest from the phases of azimuth and range."""
-    tick = 2 * np.pi / like.ticks_per_turn
-    rho = np.hypot(q[:, 0], q[:, 1])
-    near = np.ones(len(q), bool)
-    slope = offset = 0.0
-    for _ in range(10):
-        slope, offset = np.polyfit(rho[near], q[near, 2], 1)
-        off = np.abs(q[:, 2] - slope * rho - offset)
-        near = off < max(0.002, 2 * float(np.median(off)))
+def _misfit(q: F64, laser: I64, lasers: int) -> float:
+    seen = laser >= 0
+    return float(np.median(np.abs(fit_cones(q[seen], laser[seen], lasers)[1])))
+
+
+def _on_cones(raw: list[F64], laser: list[I64], lasers: int) -> list[I64]:
+    """Give points that lie on another laser's cone to that one: where a list of rings was cut is a guess."""
+    every, of = np.concatenate(raw), np.concatenate(laser)
+    seen = of >= 0
+    cones, off = fit_cones(every[seen], of[seen], lasers)
+    astray = np.flatnonzero(seen)[np.abs(off) > _REASSIGNED]
+    rho = np.hypot(every[astray, 0], every[astray, 1])
+    apart = np.abs(every[astray, 2, None] - rho[:, None] * cones.slope - cones.height)
+    of[astray] = np.where(apart.min(axis=1) < _REASSIGNED, apart.argmin(axis=1), -1) if len(astray) else -1
+    return np.split(of, np.cumsum([len(q) for q in raw])[:-1])
+
+
+def _along(q: F64, slope: float, height: float) -> F64:
+    """Distance along the beam of points on a cone."""
     theta = np.arctan(slope)
-    far = rho > min(3.0, float(np.median(rho)))
-    azimuth = np.arctan2(q[:, 1], q[:, 0])
-    levers = np.arange(-0.06, 0.0601, 0.002)
-    phases = np.array(
-        [
-            np.exp(1j * (azimuth - np.arcsin(np.clip(h / rho, -1, 1)))[far] * 2 * np.pi / tick).mean()
-            for h in levers
-        ]
-    )
-    sharpest = int(np.abs(phases).argmax())
-    phi0 = np.angle(phases[sharpest]) / (2 * np.pi) * tick
-    d = rho * np.cos(theta) + (q[:, 2] - offset) * np.sin(theta)
-    d0 = np.angle(np.exp(2j * np.pi * d / like.count).mean()) / (2 * np.pi) * like.count
-    return np.array([theta, offset, levers[sharpest], phi0, d0])
+    return np.asarray(np.hypot(q[:, 0], q[:, 1]) * np.cos(theta) + (q[:, 2] - height) * np.sin(theta))
 
 
-def _residuals(
-    q: NDArray[np.float64], p: NDArray[np.float64], like: SensorModel
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Residuals ``(N, 3)`` to the nearest lattice points and their Jacobian ``(N, 3, 5)``."""
-    theta, z0, h, phi0, d0 = p
-    tick = 2 * np.pi / like.ticks_per_turn
-    ct, st = np.cos(theta), np.sin(theta)
-    rho = np.hypot(q[:, 0], q[:, 1])
-    azimuth = np.arctan2(q[:, 1], q[:, 0]) - np.arcsin(np.clip(h / rho, -1, 1))
-    phi = tick * np.rint((azimuth - phi0) / tick) + phi0
-    d = like.count * np.rint((rho * ct + (q[:, 2] - z0) * st - d0) / like.count) + d0
-    r = np.sqrt(np.maximum((d * ct) ** 2 - h * h, 0.0))
-    c, s = np.cos(phi), np.sin(phi)
-    model = np.stack([r * c - h * s, r * s + h * c, d * st + z0], axis=1)
-    zero, one = np.zeros_like(d), np.ones_like(d)
-    jacobian = np.stack(
-        [
-            np.stack([-d * st * c, zero, -s, -r * s - h * c, ct * c], axis=1),
-            np.stack([-d * st * s, zero, c, r * c - h * s, ct * s], axis=1),
-            np.stack([d * ct, one, zero, zero, st * one], axis=1),
-        ],
-        axis=1,
-    )
-    return q - model, jacobian
-
-
-def _find_shifts(model: SensorModel, rings: list[list[NDArray[np.int64]]]) -> NDArray[np.int64]:
-    """Ticks between the common firing and each laser's: the peak of the correlation of their ticks."""
+def find_shifts(model: SensorModel, aimed: list[tuple[I64, I64, I64, F64]], laser: list[I64]) -> I64:
+    """Ticks between the common firing and each laser's ``(L,)``: the peak of the correlation of their ticks."""
     ticks = model.ticks_per_turn
-    fired = np.zeros((len(rings), model.n_lasers, ticks))
-    for i, scan in enumerate(rings):
-        for k, ring in enumerate(scan):
-            fired[i, k, project(model, np.full(len(ring), k), ring)[0]] = 1
-    spectra = np.fft.fft(fired - fired.mean(axis=-1, keepdims=True), axis=-1)
+    chosen = range(min(len(aimed), max(1, (1 << 22) // (ticks * model.n_lasers))))
+    spectra = np.empty((len(chosen), model.n_lasers, ticks), np.complex64)
+    for i in chosen:
+        fired = np.zeros((model.n_lasers, ticks), np.float32)
+        seen = laser[i] >= 0
+        fired[laser[i][seen], aimed[i][1][seen]] = 1
+        spectra[i] = np.fft.fft(fired - fired.mean(axis=-1, keepdims=True), axis=-1)
     reference = spectra[:, model.n_lasers // 2]
     shift = np.zeros(model.n_lasers, np.int64)
+    turn = np.exp(-2j * np.pi * np.arange(ticks) / ticks).astype(np.complex64)
     for _ in range(3):
-        together = np.zeros((len(rings), ticks))
+        together = np.zeros_like(reference)
         for k in range(model.n_lasers):
             correlation = np.fft.ifft(spectra[:, k] * reference.conj(), axis=-1).real.sum(axis=0)
             shift[k] = (int(correlation.argmax()) + ticks // 2) % ticks - ticks // 2
-            together += np.roll(fired[:, k], -shift[k], axis=-1)
-        reference = np.fft.fft(together - together.mean(axis=-1, keepdims=True), axis=-1)
+            together += spectra[:, k] * turn[(-shift[k] * np.arange(ticks)) % ticks]
+        reference = together
     return shift
+
+
+def _check(off: list[F64], laser: list[I64], lasers: int) -> None:
+    """Refuse scans that the model of all of them does not explain, or that have few of its lasers."""
+    shares = [float((distance <= _EXPLAINED).mean()) for distance in off if len(distance)]
+    if not shares or np.median(shares) < _LEAST_EXPLAINED:
+        share = np.median(shares) if shares else 0.0
+        raise SensorError(
+            f"only {share:.0%} of the points lie within 20 mm of a lattice of lasers: "
+            "the scans are moved in a way that is not understood, or of no spinning LiDAR"
+        )
+    usual = np.median([len(distance) for distance in off])
+    for scan, (distance, k) in enumerate(zip(off, laser, strict=True)):
+        if len(distance) < usual / 4:
+            continue
+        share, seen = float((distance <= _EXPLAINED).mean()), len(np.unique(k[k >= 0]))
+        if share < _LEAST_EXPLAINED or seen < _LEAST_LASERS * lasers:
+            raise SensorError(
+                f"scan {scan} (of those used) shows {seen} of {lasers} lasers and fits in {share:.0%} of its points: "
+                "the scans are of different sensors; calibrate on one at a time"
+            )

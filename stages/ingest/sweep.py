@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.list_motion import find_motion
 from salpcc.stages.ingest.measure import measure
 from salpcc.stages.ingest.motion_search import is_raw, solve_motion
 from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
@@ -55,8 +56,9 @@ def _find_motion(
     return motion is not None, motion
 
 
-def _all_strays(scan: Scan) -> Sweep:
-    return _sweep(scan, None, *(np.zeros(0, np.int64) for _ in range(6)))
+def _all_strays(scan: Scan, sensor: SensorModel) -> Sweep:
+    """A sweep without returns; its motion is by place in the list (:mod:`.list_motion`)."""
+    return _sweep(scan, find_motion(scan.points, sensor), *(np.zeros(0, np.int64) for _ in range(6)))
 
 
 def _sweep(
@@ -107,7 +109,7 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     within = within_reach(points)
     locked, motion = _find_motion(points if within.all() else points[within], start)
     if not locked:
-        return _all_strays(scan)
+        return _all_strays(scan, sensor)
 
     raw, compensated, usable = untwist(points, motion)
     laser = assign_lasers(sensor, raw, usable)
@@ -115,7 +117,7 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     on = np.flatnonzero((millimetre >= 0) & (ulp >= 0))
     on = on[_fits_lattice(laser[on], tick[on], key[on])]
     if len(on) < _MIN_SHARE * len(scan):
-        return _all_strays(scan)
+        return _all_strays(scan, sensor)
     on = on[np.argsort((laser[on] << 32) | tick[on], kind="stable")]
     return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre[on], ulp[on])
 

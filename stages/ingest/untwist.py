@@ -56,7 +56,7 @@ def moved(x: float, y: float, z: float, s: float, m: Motion) -> tuple[float, flo
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _turned_back(x: float, y: float, z: float, s: float, m: Motion) -> tuple[float, float, float]:
+def turned_back(x: float, y: float, z: float, s: float, m: Motion) -> tuple[float, float, float]:
     """Undo the motion of a point whose s is known."""
     return _rotate(x - s * m[0], y - s * m[1], z - s * m[2], -s * m[3], -s * m[4], -s * m[5])
 
@@ -77,7 +77,7 @@ def inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -
     rho2 = x * x + y * y
     c = ((y * m[0] - x * m[1]) / rho2 - m[5]) * (1.0 / TWO_PI)
     s = s0 / (1.0 - c)
-    qx, qy, qz = _turned_back(x, y, z, s, m)
+    qx, qy, qz = turned_back(x, y, z, s, m)
     if rho2 > 4.0:
         for _ in range(4):
             t = (x * qy - y * qx) / (x * qx + y * qy)
@@ -85,14 +85,14 @@ def inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -
             angle = t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0))))
             change = (s0 + angle * (1.0 / TWO_PI) - s) / (1.0 - c)
             s += change
-            qx, qy, qz = _turned_back(x, y, z, s, m)
+            qx, qy, qz = turned_back(x, y, z, s, m)
             if abs(change) < 1e-5:
                 break
         if abs(t) < 0.2:
             return qx, qy, qz
     for _ in range(12):
         s = _branched(arctan2(qy, qx) / TWO_PI, branch)
-        qx, qy, qz = _turned_back(x, y, z, s, m)
+        qx, qy, qz = turned_back(x, y, z, s, m)
     return qx, qy, qz
 
 
@@ -138,13 +138,13 @@ def _near_inverse(x: float, y: float, z: float, m: Motion) -> tuple[float, float
     s0 = arctan2(y, x) / TWO_PI
     c = ((y * m[0] - x * m[1]) / (x * x + y * y) - m[5]) * (1.0 / TWO_PI)
     s = s0 / (1.0 - c)
-    qx, qy, _ = _turned_back(x, y, z, s, m)
+    qx, qy, _ = turned_back(x, y, z, s, m)
     t = (x * qy - y * qx) / (x * qx + y * qy)
     s += (s0 + t * (1.0 - t * t * (1.0 / 3.0)) * (1.0 / TWO_PI) - s) / (1.0 - c)
-    qx, qy, _ = _turned_back(x, y, z, s, m)
+    qx, qy, _ = turned_back(x, y, z, s, m)
     t2 = (x * qy - y * qx) / (x * qx + y * qy)
     s += (s0 + t2 * (1.0 - t2 * t2 * (1.0 / 3.0)) * (1.0 / TWO_PI) - s) / (1.0 - c)
-    return _turned_back(x, y, z, s, m)
+    return turned_back(x, y, z, s, m)
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -20,24 +20,29 @@ _LONGEST = 1 << 15
 _BETTER = 0.98  # a layout that saves less is chance
 
 
+def likely_layouts(points: NDArray[np.float32], lanes: bool) -> list[Layout]:
+    """Return the layouts (left, up) that points ``(S, 3)`` may lie in, the plain list first; ``lanes``: firings with gaps, too."""
+    if len(points) < _FEW:
+        return [(1, 0)]
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        x, y, z = np.nan_to_num(points[:_LONGEST].astype(np.float64), posinf=0.0, neginf=0.0).T
+        x, y, z = (np.clip(c, -1e6, 1e6) for c in (x, y, z))
+        ground = np.maximum(np.hypot(x, y), 1e-9)
+    found = [(1, 0)]
+    found += [(lag, 1) for lag in _repeats(np.clip(z / ground, -2, 2), *_LASERS)]
+    found += [(1, lag) for lag in _repeats(x / ground + 1j * y / ground, *_COLUMNS)]
+    return [*found, (0, 1)] if lanes else found
+
+
 def find_layout(points: NDArray[np.float32], form: int, per: float, step: float, tolerance: float) -> Layout:
     """Return (left, up) of the points ``(S, 3)`` that codes them in the fewest bytes, of a few likely ones.
 
     ``tolerance`` as for :func:`ray_stream.move_points`. Points that were moved once by a layout come out best by the same, as
     all others would have to leave them loose; this is why the part that is tried stands at the beginning.
     """
-    if len(points) < _FEW:
-        return 1, 0
-    candidates = [(1, 0)]
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        x, y, z = np.nan_to_num(points[:_LONGEST].astype(np.float64), posinf=0.0, neginf=0.0).T
-        x, y, z = (np.clip(c, -1e6, 1e6) for c in (x, y, z))
-        ground = np.maximum(np.hypot(x, y), 1e-9)
-    candidates += [(lag, 1) for lag in _repeats(np.clip(z / ground, -2, 2), *_LASERS)]
-    candidates += [(1, lag) for lag in _repeats(x / ground + 1j * y / ground, *_COLUMNS)]
-    if form != ALONG:  # lanes of points that were moved would not be quite the same
-        candidates.append((0, 1))
-    if len(candidates) == 1:
+    # Lanes of points that were moved would not be quite the same.
+    candidates = likely_layouts(points, lanes=form != ALONG)
+    if len(candidates) == 1 or len(points) < _FEW:
         return 1, 0
     part = np.ascontiguousarray(points[:_TRIED])
     out = np.empty(16 * len(part) + 4096, np.uint8)

@@ -48,7 +48,7 @@ from salpcc.stages.residual_code.stray_coder import (
     decode_floats,
     decode_strays,
     encode_strays,
-    layout_of,
+    plan,
 )
 from salpcc.stages.residual_code.stray_coder_1 import decode_strays_1
 from salpcc.stages.residual_code.value_coder import decode_values, encode_values
@@ -102,15 +102,10 @@ def encode_scan(
             streams.append(_corrections(distance, step, reach[which], codes, bits))
     else:
         streams += [b"", b""]
-    layout = layout_of(sweep.stray_points[:, :3], sweep.max_error)
-    streams.append(
-        _run(
-            lambda out: encode_strays(
-                sweep.stray_index, sweep.stray_points[:, :3], sweep.max_error, layout, out
-            ),
-            5 * s,
-        )
-    )
+    moved = sweep.motion if n == 0 else None  # of points without a lattice, by their place in the list
+    strays = plan(sweep.stray_points[:, :3], sweep.max_error, sensor, moved)
+    layout = strays.layout
+    streams.append(encode_strays(sweep.stray_index, strays))
     levels = intensity_levels(sweep.intensity)
     if intensity_is_field(sweep, levels):
         flags |= FLOAT_INTENSITY
@@ -129,8 +124,10 @@ def encode_scan(
         returned = _run(
             lambda out: class_coder.encode_classes(starts, tick, sweep.classes, models.classes, out), n
         )
-        strays = encode_stray_classes(sweep) if sweep.cloud else _plain_classes(sweep.stray_classes, layout)
-        streams.append(strays + returned)
+        of_strays = (
+            encode_stray_classes(sweep) if sweep.cloud else _plain_classes(sweep.stray_classes, layout)
+        )
+        streams.append(of_strays + returned)
     else:
         streams.append(b"")
     if sweep.cloud is not None:
@@ -184,7 +181,6 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     """
     header, streams = unpack(data)
     values = models.known(header.effort, header.weights)
-    read_strays = decode_strays_1 if header.codec == 1 else decode_strays
     read_values = decode_floats if header.codec == 1 else decode_values
     if header.returns > sensor.n_lasers * sensor.ticks_per_turn:
         raise ArchiveError("payload has more returns than the sensor has firings")
@@ -227,7 +223,11 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
                     *float32_boundary(points), header.ulp_reach, models.ulp, ulp
                 )
             )
-    places, points = checked(read_strays(s, header.max_error, stray))
+    if header.codec == 1:
+        places, points = checked(decode_strays_1(s, header.max_error, stray))
+    else:
+        moved = header.motion if n == 0 else None
+        places, points = checked(decode_strays(s, header.max_error, stray, sensor, moved))
     if as_field:
         intensities = np.zeros(n, np.float32)
     elif header.flags & FLOAT_INTENSITY:

@@ -1,26 +1,36 @@
 """Strays, the points without a lattice: their places, and x, y, z as :mod:`.ray_coder` has them.
 
 Stream: length of the places (uint32), the places as gaps, form, left, up and per (uint8, uint16, uint16, uint32), the points.
+Many strays that lie on the lattice of the sensor model after all, as of a sensor whose files no other coder knows, are coded by it
+(:mod:`.aimed_strays`).
 """
 
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.publish import from_ordered_bits, ordered_bits
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.residual_code.aimed_coder import OFF
+from salpcc.stages.residual_code.aimed_strays import TRIED, Motion, choose, read_body, write_body
+from salpcc.stages.residual_code.aimed_stream import Aimed, Way
+from salpcc.stages.residual_code.buffer import run_encoder
 from salpcc.stages.residual_code.integer_coder import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.layout import find_layout
-from salpcc.stages.residual_code.ray_coder import Layout
+from salpcc.stages.residual_code.ray_coder import F32, Layout
 from salpcc.stages.residual_code.ray_forms import ALONG, BITS, GRID
 from salpcc.stages.residual_code.ray_stream import move_points, read_points, write_points
 
+AIMED = 3  # the form after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
 _HOPELESS = 8  # bytes a point
+_NO_DOUBT = 0.9  # of the points on the lattice; with fewer, rays are tried, too
 
 
 def ray_step(max_error: float) -> float:
@@ -31,7 +41,7 @@ def ray_step(max_error: float) -> float:
     return max(2.0 * (max_error - 1e-5) / 1.7320508075688772, 0.0) if max_error > 0 else 0.0
 
 
-def _form(points: NDArray[np.float32], max_error: float) -> tuple[int, int, float]:
+def _form(points: F32, max_error: float) -> tuple[int, int, float]:
     """Form, grid lines in a metre, and step that points ``(S, 3)`` are coded with."""
     step = ray_step(max_error)
     if step > 0.0:
@@ -44,60 +54,121 @@ def _form(points: NDArray[np.float32], max_error: float) -> tuple[int, int, floa
     return BITS, 1, 0.0
 
 
-def snap(points: NDArray[np.float32], max_error: float) -> NDArray[np.float32]:
-    """Move points ``(S, 3)`` to where the coder will put them, where that keeps the bound."""
-    if ray_step(max_error) == 0.0 or len(points) == 0:
-        return points
-    form, per, step = _form(points, max_error)
-    layout = find_layout(points, form, per, step, max_error)
-    return move_points(np.ascontiguousarray(points), layout, form, per, step, max_error)[0]
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How points ``(S, 3)``, snapped if need be, are coded: on rays, or ``chosen`` on the lattice of the sensor."""
+
+    points: F32
+    max_error: float
+    layout: Layout
+    form: int
+    per: int
+    step: float
+    sensor: SensorModel | None = None
+    chosen: tuple[Way, Aimed] | None = None
 
 
-def layout_of(points: NDArray[np.float32], max_error: float) -> Layout:
-    """Return the layout in which points ``(S, 3)``, snapped if need be, are coded."""
-    return find_layout(points, *_form(points, max_error), 0.0)
-
-
-def encode_strays(
-    places: NDArray[np.int64],
-    points: NDArray[np.float32],
+def plan(
+    points: F32,
     max_error: float,
-    layout: Layout,
-    out: NDArray[np.uint8],
-) -> int:
-    """Encode places ``(S,)`` and points ``(S, 3)``; return the bytes written to ``out``, -1 if full."""
-    if len(places) == 0:
-        return 0
+    sensor: SensorModel | None = None,
+    motion: Motion = None,
+    settled: bool = True,
+) -> Plan:
+    """Plan how to encode points ``(S, 3)``.
+
+    Args:
+        sensor: whose lattice the points may lie on.
+        motion: by place in the list, that moved them off it (:mod:`salpcc.stages.ingest.list_motion`).
+        settled: they were snapped, if need be, and no bit may change.
+    """
     points = np.ascontiguousarray(points)
     form, per, step = _form(points, max_error)
+    chosen = choose(points, form, per, max_error, sensor, motion, settled) if sensor is not None else None
+    tolerance = 0.0 if settled else max_error
+    if chosen is None:
+        return Plan(points, max_error, find_layout(points, form, per, step, tolerance), form, per, step)
+    aimed = Plan(points, max_error, chosen[0].layout, form, per, step, sensor, chosen)
+    if settled or (chosen[1].kinds != OFF).mean() >= _NO_DOUBT:
+        return aimed
+    rays = plan(points, max_error, settled=False)
+    first = [snap(points[:TRIED], max_error, *known) for known in ((sensor, motion), (None, None))]
+    sizes = [
+        len(encode_strays(np.arange(len(part)), plan(part, max_error, *known)))
+        for part, known in zip(first, ((sensor, motion), (None, None)), strict=True)
+    ]
+    return aimed if sizes[0] < sizes[1] else rays
+
+
+def snap(points: F32, max_error: float, sensor: SensorModel | None = None, motion: Motion = None) -> F32:
+    """Move points ``(S, 3)`` to where the coder will put them, where that keeps the bound; sensor and motion as for :func:`plan`."""
+    if ray_step(max_error) == 0.0 or len(points) == 0:
+        return points
+    found = plan(points, max_error, sensor, motion, settled=False)
+    if found.chosen is None:
+        return move_points(found.points, found.layout, found.form, found.per, found.step, max_error)[0]
+    moved = found.chosen[1].points.copy()
+    off = found.chosen[1].kinds == OFF
+    moved[off] = snap(points[off], max_error)
+    return moved
+
+
+def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
+    """Encode places ``(S,)`` and points."""
+    if len(places) == 0:
+        return b""
     gaps = np.diff(places, prepend=-1) - 1
-    first = int(encode_integers(gaps[:, None], integer_model(1), out[_HEAD.size :]))
-    if first < 0:
-        return -1
-    out[: _HEAD.size] = np.frombuffer(_HEAD.pack(first, form, *layout, per), np.uint8)
-    begin = _HEAD.size + first
-    written = write_points(points, layout, form, per, step, out[begin:])
-    if form == ALONG and written > _HOPELESS * len(points):  # points that were moved by another layout
-        out[: _HEAD.size] = np.frombuffer(_HEAD.pack(first, BITS, *layout, per), np.uint8)
-        written = write_points(points, layout, BITS, per, 0.0, out[begin:])
-    return written + begin if written >= 0 else -1
+    first = run_encoder(lambda out: int(encode_integers(gaps[:, None], integer_model(1), out)), len(places))
+    if found.chosen is None or found.sensor is None:
+        return _on_rays(found, first)
+    way, aimed = found.chosen
+
+    def rest(off: F32) -> bytes:
+        return encode_strays(np.arange(len(off)), plan(off, found.max_error))
+
+    body = write_body(found.chosen, found.points, found.sensor, rest)
+    coded = _HEAD.pack(len(first), AIMED, *way.layout, found.per) + first + body
+    if (aimed.kinds != OFF).mean() >= _NO_DOUBT or found.form == ALONG:
+        return coded
+    return min(coded, _on_rays(plan(found.points, found.max_error), first), key=len)
+
+
+def _on_rays(found: Plan, first: bytes) -> bytes:
+    points, form, per, layout = found.points, found.form, found.per, found.layout
+    body = run_encoder(lambda out: write_points(points, layout, form, per, found.step, out), 4 * len(points))
+    if form == ALONG and len(body) > _HOPELESS * len(points):  # points that were moved by another layout
+        form = BITS
+        body = run_encoder(lambda out: write_points(points, layout, BITS, per, 0.0, out), 4 * len(points))
+    return _HEAD.pack(len(first), form, *layout, per) + first + body
 
 
 def decode_strays(
-    n: int, max_error: float, data: NDArray[np.uint8]
-) -> tuple[NDArray[np.int64], NDArray[np.float32], bool]:
-    """Inverse of :func:`encode_strays`: places, points, and whether the data made sense."""
+    n: int,
+    max_error: float,
+    data: NDArray[np.uint8],
+    sensor: SensorModel | None = None,
+    motion: Motion = None,
+) -> tuple[NDArray[np.int64], F32, bool]:
+    """Inverse of :func:`encode_strays`: places, points, and whether the data made sense; sensor and motion as for :func:`plan`."""
     nothing = np.zeros(n, np.int64), np.zeros((n, 3), np.float32), n == 0
     if n == 0 or len(data) < _HEAD.size:
         return nothing
     first, form, left, up, per = _HEAD.unpack(data[: _HEAD.size].tobytes())
     begin = _HEAD.size + first
     step = ray_step(max_error)
-    if begin > len(data) or form > BITS or per == 0 or (form == ALONG and step == 0.0):
+    known = form <= BITS or (form == AIMED and sensor is not None)
+    if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
     places = np.cumsum(rows[:, 0] + 1) - 1
-    points, whole = read_points(n, (left, up), form, per, step, np.ascontiguousarray(data[begin:]))
+    body = np.ascontiguousarray(data[begin:])
+    if form == AIMED:
+        assert sensor is not None
+        points, whole = read_body(
+            n, (left, up), per, step, body, sensor, motion, lambda m, d: decode_strays(m, max_error, d)[1:]
+        )
+    else:
+        points, whole = read_points(n, (left, up), form, per, step, body)
     return places, points, bool(sound and whole)
 
 

@@ -12,7 +12,7 @@ from salpcc.schemas.errors import SourceError
 from salpcc.schemas.files import why
 from salpcc.schemas.work import ScanRef
 
-POINT_BYTES = 16
+POINT_BYTES, RINGED_BYTES = 16, 20
 NOMINAL_PERIOD_NS = 100_000_000  # the HDL-64E turns at 10 Hz; used where no time stamps were recorded
 
 
@@ -32,6 +32,31 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         )
     rows = np.frombuffer(data, "<f4").reshape(-1, 4)
     return np.ascontiguousarray(rows[:, :3]), np.ascontiguousarray(rows[:, 3])
+
+
+def read_points_with_rings(
+    path: Path,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64] | None]:
+    """Read nuScenes' ``.pcd.bin``, float32 x, y, z, intensity, ring: points, intensity, rings; None where the fifth number is no ring.
+
+    Raises:
+        SourceError: unreadable, or the size is not a multiple of 20 bytes.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SourceError(f"{path}: {error.strerror or error}") from error
+    if len(data) % RINGED_BYTES:
+        raise SourceError(f"{path}: {len(data)} bytes is not a multiple of {RINGED_BYTES}; fetch it again")
+    rows = np.frombuffer(data, "<f4").reshape(-1, 5)
+    ring = rows[:, 4]
+    with np.errstate(invalid="ignore"):
+        sound = bool(((ring == np.rint(ring)) & (ring >= 0) & (ring < 4096)).all())
+    return (
+        np.ascontiguousarray(rows[:, :3]),
+        np.ascontiguousarray(rows[:, 3]),
+        ring.astype(np.int64) if sound else None,
+    )
 
 
 def points_to_bytes(points: NDArray[np.float32], intensity: NDArray[np.float32]) -> bytes:

@@ -1,4 +1,4 @@
-"""A sensor model is found from nothing but raw scans."""
+"""A sensor model is found from nothing but scans: lasers, steps, levers, whatever the order of the list."""
 
 from dataclasses import replace
 
@@ -7,8 +7,15 @@ import pytest
 
 from salpcc.schemas.errors import SensorError
 from salpcc.stages.ingest.calibrate import fit_sensor, share_exact
+from salpcc.stages.ingest.find_lasers import Listed
 from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.list_motion import places, redo, solve
 from salpcc.stages.ingest.order import azimuth_keys
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.simulator.config import SimulationConfig
+from salpcc.stages.ingest.simulator.scans import simulate_scans
+
+TURNING = np.array([-0.6, 0.01, 0.005, 1e-3, -5e-4, 4e-3])
 
 
 @pytest.fixture(scope="module")
@@ -30,22 +37,127 @@ def raw_scans(small_sensor):
         count = rng.integers(1500, 30_000, len(laser))
         model = unproject(small_sensor, laser.astype(np.uint8), tick.astype(np.int32), count.astype(np.int32))
         order = np.lexsort((azimuth_keys(model), laser))
-        scans.append(np.rint(model[order] * 1000).astype(np.int64))
+        scans.append(Listed(np.rint(model[order] * 1000) / 1000.0))
     return scans
 
 
-def test_fit_finds_the_sensor(small_sensor, raw_scans) -> None:
-    found = fit_sensor(raw_scans, replace(small_sensor, theta=np.zeros(4)), "found")
-    assert share_exact(small_sensor, raw_scans) == 1.0
-    assert share_exact(found, raw_scans) > 0.99
-    assert np.abs(found.theta - small_sensor.theta).max() < 1e-6
-    assert np.abs(found.h - small_sensor.h).max() < 1e-5
-    relative = (found.shift - small_sensor.shift) % small_sensor.ticks_per_turn
+def fan(lasers: int, low: float, high: float) -> SensorModel:
+    """A sensor without levers whose lasers lie ``low`` to ``high`` degrees up, on KITTI's steps."""
+    none = np.zeros(lasers)
+    elevation = np.radians(np.linspace(high, low, lasers))
+    return SensorModel(
+        f"fan{lasers}", 4000, 0.002, elevation, none, none, none, none, np.zeros(lasers, np.int64)
+    )
+
+
+def spinning(
+    ticks: int, count: float, lasers: int = 16, firings: int = 720
+) -> tuple[SensorModel, Listed, np.ndarray]:
+    """A sensor with levers, and one turn of it in the order of its firings, not rounded; with the laser of each point."""
+    rng = np.random.default_rng(lasers)
+    model = SensorModel(
+        "levers", ticks, count, np.radians(np.linspace(-15, 15, lasers)), rng.normal(0, 0.01, lasers), rng.normal(0, 0.004, lasers),
+        rng.uniform(-0.4, 0.4, lasers) * 2 * np.pi / ticks, rng.uniform(-0.4, 0.4, lasers) * count, np.zeros(lasers, np.int64),
+    )  # fmt: skip
+    laser = np.tile(np.arange(lasers), firings)
+    tick = np.repeat(np.rint(np.arange(firings) * ticks / firings), lasers).astype(np.int64)
+    far = 8.0 + 4.0 * np.sin(6 * np.pi * tick / ticks) + 3.0 * (tick * 40 // ticks % 2)
+    distance = np.minimum(far, 1.7 / np.maximum(-np.sin(model.theta[laser]), 0.02)) + rng.normal(
+        0, 0.01, len(laser)
+    )
+    points = unproject(model, laser.astype(np.uint8), tick.astype(np.int32), np.rint(distance / count))
+    return model, Listed(points), laser
+
+
+def test_finds_the_sensor(small_sensor, raw_scans) -> None:
+    found = fit_sensor(raw_scans, "found", rounded=True)
+    assert (found.model.ticks_per_turn, found.model.count) == (4000, 0.002)
+    assert share_exact(found, small_sensor) == 1.0
+    assert share_exact(found) > 0.99
+    assert np.abs(found.model.theta - small_sensor.theta).max() < 1e-6
+    assert np.abs(found.model.h - small_sensor.h).max() < 1e-5
+    relative = (found.model.shift - small_sensor.shift) % small_sensor.ticks_per_turn
     assert len(set(relative.tolist())) == 1
 
 
-def test_too_little_to_calibrate_on(small_sensor, raw_scans) -> None:
+@pytest.mark.parametrize(("lasers", "low", "high"), [(16, -15, 15), (32, -30.67, 10.67), (128, -25, 15)])
+def test_finds_simulated_sensors(lasers: int, low: float, high: float) -> None:
+    truth = fan(lasers, low, high)
+    config = SimulationConfig(scans=1, shadow=False)
+    scans = [Listed(scan.raw.astype(np.float64)) for scan in simulate_scans(config, truth)]
+    found = fit_sensor(scans, "found", rounded=True)
+    model = found.model
+    assert (model.n_lasers + found.missing, model.ticks_per_turn, model.count) == (lasers, 4000, 0.002)
+    nearest = np.abs(model.theta[:, None] - truth.theta[None]).argmin(axis=1)
+    assert np.degrees(np.abs(model.theta - truth.theta[nearest])).max() < 0.005
+    assert len(set(nearest.tolist())) == model.n_lasers
+    assert share_exact(found) > 0.97
+
+
+@pytest.mark.parametrize(("ticks", "count"), [(36_000, 0.002), (1024, 0.001), (2048, 0.008)])
+@pytest.mark.parametrize("order", ["firings", "rings", "organised", "numbered"])
+def test_finds_steps_in_any_order(ticks: int, count: float, order: str) -> None:
+    truth, scan, laser = spinning(ticks, count)
+    by_ring = np.argsort(laser, kind="stable")
+    listed = {
+        "firings": scan,
+        "rings": Listed(scan.points[by_ring]),
+        "organised": Listed(scan.points[by_ring], width=720),
+        "numbered": Listed(scan.points[by_ring[::-1]], ring=laser[by_ring[::-1]] + 3),
+    }[order]
+    found = fit_sensor([listed], "found", rounded=False)
+    assert (found.model.n_lasers, found.model.count, found.moved) == (16, count, 0)
+    # A ring of 720 firings every so many ticks is a lattice of its own.
+    assert found.model.ticks_per_turn % 720 == 0 or found.model.ticks_per_turn == ticks
+    assert np.degrees(np.abs(np.sort(found.model.theta) - truth.theta)).max() < 1e-4
+    assert found.share_within(1e-4) > 0.999
+
+
+def test_undoes_the_motion_of_firings() -> None:
+    _, scan, laser = spinning(36_000, 0.002, lasers=32, firings=1084)
+    s = places(len(laser), 32)
+    moved = redo(scan.points, s, TURNING)
+    found = solve(moved, laser, s, 32)
+    assert found is not None
+    assert (found.ticks, found.count) == (36_000, 0.002)
+    assert np.abs(found.motion - TURNING)[:3].max() < 1e-3
+    fit = fit_sensor([Listed(moved)], "found", rounded=False)
+    assert fit.moved == 1
+    assert fit.share_within(0.002) > 0.95
+
+
+def test_too_little_to_calibrate_on(raw_scans) -> None:
     with pytest.raises(SensorError, match="no scan"):
-        fit_sensor([], small_sensor, "x")
+        fit_sensor([], "x", rounded=True)
     with pytest.raises(SensorError, match="more scans"):
-        fit_sensor([raw_scans[0][::20]], small_sensor, "x")
+        fit_sensor([Listed(raw_scans[0].points[::20])], "x", rounded=True)
+
+
+def test_what_is_no_spinning_sensor() -> None:
+    blob = np.random.default_rng(0).normal(0, 20, (20_000, 3))
+    with pytest.raises(SensorError, match="no spinning LiDAR"):
+        fit_sensor([Listed(blob)], "x", rounded=False)
+
+
+def test_scans_of_two_sensors() -> None:
+    (_, one, _), (_, other, _) = spinning(1024, 0.001, 16), spinning(1024, 0.001, 20)
+    tilted = other.points @ np.array([[1, 0, 0], [0, 1, 0], [0, 0.0, 0.6]])
+    with pytest.raises(SensorError, match="different sensors"):
+        fit_sensor([one, one, Listed(tilted)], "x", rounded=False)
+
+
+def test_real_sweep_of_nuscenes(real_data) -> None:
+    file = real_data / "other_sensors" / "nuscenes_lidar_top.pcd.bin"
+    if not file.is_file():
+        pytest.skip(f"{file} is absent")
+    rows = np.fromfile(file, "<f4").reshape(-1, 5).astype(np.float64)
+    fit = fit_sensor([Listed(rows[:, :3])], "hdl32e", rounded=False)
+    assert (fit.model.n_lasers, fit.model.ticks_per_turn, fit.model.count, fit.moved) == (
+        32,
+        36_000,
+        0.002,
+        1,
+    )
+    data_sheet = np.linspace(-30.67, 10.67, 32)
+    assert np.abs(np.degrees(fit.model.theta) - data_sheet).max() < 0.05
+    assert fit.share_within(0.005) > 0.98

@@ -1,0 +1,60 @@
+"""Any point on the lattice of a known sensor: the laser, tick and count that come nearest to it, and the point that they make.
+
+:mod:`.measure` does this for files of rings on a 1 mm grid; here points are floats in any order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.lattice import laser_constants, model_point, project_point
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.trig import turn_tables
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+@njit(cache=True, error_model="numpy")
+def _aim(parameters, count_size, ticks, points, laser):  # type: ignore[no-untyped-def]
+    constants = laser_constants(parameters)
+    sines, cosines = turn_tables(ticks)
+    tangent = constants[:, 1] / constants[:, 0]
+    n = len(points)
+    tick = np.zeros(n, np.int64)
+    count = np.zeros(n, np.int64)
+    off = np.full(n, np.inf)
+    for i in range(n):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        rho = np.sqrt(x * x + y * y)
+        if not (0.0 < rho < 1e4 and abs(z) < 1e4):
+            laser[i] = -1
+            continue
+        if laser[i] < 0:
+            nearest = np.inf
+            for k in range(len(parameters)):
+                apart = abs(z - parameters[k, 1] - rho * tangent[k]) * constants[k, 0]
+                if apart < nearest:
+                    nearest = apart
+                    laser[i] = k
+        k = laser[i]
+        t, c = project_point(x, y, z, parameters[k], constants[k], count_size, ticks)
+        tick[i], count[i] = np.int64(t) % ticks, np.int64(c)
+        a, b, d = model_point(tick[i], c, parameters[k], constants[k], count_size, sines, cosines)
+        off[i] = np.sqrt((a - x) * (a - x) + (b - y) * (b - y) + (d - z) * (d - z))
+    return tick, count, off
+
+
+def aim(sensor: SensorModel, points: F64, laser: I64 | None = None) -> tuple[I64, I64, I64, F64]:
+    """Return the nearest laser, tick and count ``(N,)`` of points ``(N, 3)`` in metres, and how far their model point is.
+
+    Points that are not finite, on the axis or beyond 10 km have laser -1 and are infinitely far.
+
+    Args:
+        laser: ``(N,)``, where it is known; -1 where not. Without it, the laser whose cone is nearest.
+    """
+    chosen = np.full(len(points), -1) if laser is None else laser.copy()
+    tick, count, off = _aim(sensor.parameters, sensor.count, sensor.ticks_per_turn, points, chosen)
+    return chosen, tick, count, off

@@ -1,0 +1,176 @@
+"""Which laser measured each point of an unknown sensor: from ring numbers, rows, the way the list goes round, or elevation.
+
+In this order; the first that puts most points onto narrow cones is taken. Lasers are numbered as they were found: by ring
+number, row, place in the file or in a firing, or from the top down.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import SensorError
+
+MOST_LASERS = 256
+LEAST_POINTS = 500
+NEAREST = 0.7  # metres; less is no return, or the vehicle's own roof
+_LONGEST = 1 << 14  # points looked at for firings
+_FAR = 4.0  # metres; nearer points show where a laser sits instead of its elevation
+_NARROW = (
+    0.02  # of slopes within a laser; neighbours are 0.003 to 0.04 apart, but cones of moved scans are smeared
+)
+_PER_DEGREE = 50
+_SMOOTH = 4  # cells
+_LOWEST_PEAK = 0.1  # of the median peak
+
+
+@dataclass(frozen=True, eq=False)
+class Listed:
+    """The points of one scan as they were listed.
+
+    Attributes:
+        points: ``(N, 3)`` float64 metres.
+        ring: ``(N,)`` int64, the sensor's own laser numbers, or None.
+        width: points in a row of an organised cloud, else 0.
+    """
+
+    points: NDArray[np.float64]
+    ring: NDArray[np.int64] | None = None
+    width: int = 0
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Mark points that are returns: finite, not at the sensor."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            reach = np.sqrt((self.points**2).sum(axis=1))
+            return (reach > NEAREST) & (reach < 1e4)
+
+
+def find_lasers(scans: list[Listed]) -> tuple[list[NDArray[np.int64]], int]:
+    """Return the laser of each point of each scan ``(N,)`` (-1: none), and the lasers of a firing where firings are listed, else 0.
+
+    Raises:
+        SensorError: too few points, or no way to order them makes cones: this is no spinning LiDAR.
+    """
+    seen = sum(int(scan.seen.sum()) for scan in scans)
+    if seen < LEAST_POINTS:
+        raise SensorError(f"{seen} points, at least {LEAST_POINTS} are needed: use more scans")
+    for found, period in _guesses(scans):
+        lasers = 1 + max(int(k.max(initial=-1)) for k in found)
+        if 2 <= lasers <= MOST_LASERS and _spread(scans, found) < _NARROW:
+            return found, period
+    raise SensorError(
+        "the points lie on no cones around the z axis: this is no spinning LiDAR in its own frame"
+    )
+
+
+def _guesses(scans: list[Listed]) -> Iterator[tuple[list[NDArray[np.int64]], int]]:
+    """Ways to give every point of every scan a laser, the most certain first."""
+    firing = find_firing(max((scan.points for scan in scans), key=len))
+    rings = [scan.ring for scan in scans if scan.ring is not None]
+    if len(rings) == len(scans):
+        yield [np.where(scan.seen, ring, -1) for scan, ring in zip(scans, rings, strict=True)], firing
+    if all(scan.width > 1 for scan in scans):
+        for by_row in (True, False):
+            yield (
+                [_kept(s, np.arange(len(s.points)) // s.width if by_row else np.arange(len(s.points)) % s.width)
+                 for s in scans],
+                0 if by_row else scans[0].width,
+            )  # fmt: skip
+    if firing:
+        yield [_kept(scan, np.arange(len(scan.points)) % firing) for scan in scans], firing
+    ways = [[way(scan) for scan in scans] for way in (_by_seam, _by_turns)]
+    for found in sorted(ways, key=lambda found: _spread(scans, found)):
+        common = int(np.bincount([int(k.max()) + 1 for k in found]).argmax())
+        yield [k if k.max() + 1 == common else np.full(len(k), -1) for k in found], 0
+    yield _by_elevation(scans), 0
+
+
+def _kept(scan: Listed, laser: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.where(scan.seen, laser, -1)
+
+
+def _by_seam(scan: Listed) -> NDArray[np.int64]:
+    """Files that list ring after ring, each from azimuth 0 on: it falls by more than half a turn between two."""
+    where = np.flatnonzero(scan.seen)
+    azimuth = np.arctan2(scan.points[where, 1], scan.points[where, 0]) % (2 * np.pi)
+    laser = np.full(len(scan.points), -1)
+    laser[where] = np.cumsum(np.diff(azimuth, prepend=azimuth[:1]) < -np.pi)
+    return laser
+
+
+def _by_turns(scan: Listed) -> NDArray[np.int64]:
+    """Files that list ring after ring, each from anywhere on: every ring is a whole turn, either way round."""
+    where = np.flatnonzero(scan.seen)
+    azimuth = np.arctan2(scan.points[where, 1], scan.points[where, 0])
+    steps = np.diff(azimuth, prepend=azimuth[:1])
+    turns = np.abs(np.cumsum((steps + np.pi) % (2 * np.pi) - np.pi)) / (2 * np.pi)
+    laser = np.full(len(scan.points), -1)
+    laser[where] = np.minimum(turns, max(np.rint(turns[-1:].sum()) - 1, 0)).astype(np.int64)
+    return laser
+
+
+def find_firing(points: NDArray[np.float64]) -> int:
+    """Points of a firing where a list goes firing by firing: the lag at which elevations repeat, 0 for none."""
+    slope = _slopes(points[:_LONGEST])
+    lags = np.arange(4, min(MOST_LASERS, len(slope) // 4) + 1)
+    if len(lags) < 2:
+        return 0
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # stretches without any return
+        apart = np.array([np.nanmedian(np.abs(slope[lag:] - slope[:-lag])) for lag in lags])
+    if np.isnan(apart).all():
+        return 0
+    best = int(np.nanargmin(apart))
+    # Every multiple of a period is one, too; and a list of rings is alike at every lag.
+    smallest = int(lags[np.flatnonzero(apart <= 1.5 * apart[best] + 1e-4)[0]])
+    return smallest if apart[best] < 0.2 * np.nanmedian(apart) else 0
+
+
+def _by_elevation(scans: list[Listed]) -> list[NDArray[np.int64]]:
+    """The peak of the elevations of all scans that a point is nearest to, top first."""
+    cells = [
+        np.nan_to_num((np.degrees(np.arctan(_slopes(s.points))) + 90.0) * _PER_DEGREE).astype(np.int64)
+        for s in scans
+    ]
+    counts = np.zeros(180 * _PER_DEGREE + 1)
+    for scan, cell in zip(scans, cells, strict=True):
+        far = scan.seen & (np.nan_to_num(np.hypot(*scan.points[:, :2].T)) > _FAR)
+        counts += np.bincount(cell[far], minlength=len(counts))
+    reach = np.arange(-3 * _SMOOTH, 3 * _SMOOTH + 1)
+    smooth = np.convolve(counts, np.exp(-0.5 * (reach / _SMOOTH) ** 2), "same")
+    peaks = np.flatnonzero((smooth[1:-1] > smooth[:-2]) & (smooth[1:-1] >= smooth[2:])) + 1
+    if not len(peaks):
+        return [np.full(len(s.points), -1) for s in scans]
+    peaks = peaks[smooth[peaks] > _LOWEST_PEAK * np.median(smooth[peaks])]
+    middles = (peaks[1:] + peaks[:-1]) / 2.0
+    return [
+        _kept(scan, len(peaks) - 1 - np.searchsorted(middles, cell))
+        for scan, cell in zip(scans, cells, strict=True)
+    ]
+
+
+def _slopes(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """z over the horizontal distance, NaN where there is no return."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        ground = np.hypot(points[:, 0], points[:, 1])
+        return np.where(ground > NEAREST, points[:, 2] / ground, np.nan)
+
+
+def _spread(scans: list[Listed], found: list[NDArray[np.int64]]) -> float:
+    """Median over the lasers of how far half of the slopes of a laser's far points reach."""
+    slopes, lasers = [], []
+    for scan, laser in zip(scans, found, strict=True):
+        ok = (laser >= 0) & (np.nan_to_num(np.hypot(*scan.points[:, :2].T)) > _FAR)
+        slopes.append(_slopes(scan.points)[ok])
+        lasers.append(laser[ok])
+    slope, laser = np.concatenate(slopes), np.concatenate(lasers)
+    if not len(slope):
+        return np.inf
+    order = np.lexsort((slope, laser))
+    parts = np.split(slope[order], np.flatnonzero(np.diff(laser[order])) + 1)
+    return float(np.median([p[3 * len(p) // 4] - p[len(p) // 4] for p in parts]))

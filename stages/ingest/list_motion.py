@@ -1,0 +1,223 @@
+"""Motion of clouds that list firing after firing: found, undone and done again.
+
+Such clouds are often published as seen from where the sensor stood at one moment. Like KITTI's (:mod:`.untwist`) a point q became
+``R(s w) q + s v``, but s follows from its place in the list: of C firings the last has s = 0, the first ``(C - 1) / C``.
+So v has the sign that KITTI's has: a point moves ahead by -v in a turn.
+
+What to measure by is the sensor itself: cones tell all of the motion but the yaw, then whole range counts tell v to a tenth of a
+millimetre, and whole ticks tell the yaw. Nothing is rounded here, so unlike KITTI's this motion is not exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.aim import aim
+from salpcc.stages.ingest.find_lasers import Listed, find_firing
+from salpcc.stages.ingest.find_steps import find_count
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.untwist import moved, turned_back
+
+TICKS = (512, 1024, 2048, 4096, 3600, 4000, 7200, 18_000, 36_000)  # of sensors whose clouds are published so
+_NEAREST = 3.0  # metres
+_SAMPLE = 6000  # points
+_SECTOR = 0.02  # turns that the counts are unwrapped from, ever more by
+_WIDER = 1.3
+_PADDED = 1 << 15
+_LINE = 0.3
+_ON_LATTICE = 0.003  # metres
+_WORTH_IT = 0.05  # of the points that come onto it
+_FASTEST = 0.2  # radians a turn; the sensor's own turning would pass for yaw
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """The motion ``(6,)`` of a scan, and the steps that it was found by."""
+
+    motion: F64
+    ticks: int
+    count: float
+
+
+@dataclass(frozen=True, eq=False)
+class Cones:
+    """Slope and apex height of each laser, ``(L,)``."""
+
+    slope: F64
+    height: F64
+
+
+def places(n: int, firing: int) -> F64:
+    """Return s of ``n`` points in firings of so many."""
+    firings = max(-(-n // firing), 1)
+    return np.asarray((firings - 1 - np.arange(n) // firing) / firings)
+
+
+@njit(cache=True, error_model="numpy")
+def undo(points: F64, s: F64, motion: F64) -> F64:
+    """Undo the motion ``(6,)`` of points ``(N, 3)`` at places ``(N,)``."""
+    out = np.empty((len(points), 3))
+    m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
+    for i in range(len(points)):
+        out[i, 0], out[i, 1], out[i, 2] = turned_back(points[i, 0], points[i, 1], points[i, 2], s[i], m)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def redo(points: F64, s: F64, motion: F64) -> F64:
+    """Inverse of :func:`undo`."""
+    out = np.empty((len(points), 3))
+    m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
+    for i in range(len(points)):
+        out[i, 0], out[i, 1], out[i, 2] = moved(points[i, 0], points[i, 1], points[i, 2], s[i], m)
+    return out
+
+
+def fit_cones(points: F64, laser: I64, lasers: int) -> tuple[Cones, F64]:
+    """Return the cones of points ``(N, 3)`` of lasers ``(N,)``, and how far each point is above or below its own."""
+    slope, height = np.zeros(lasers), np.zeros(lasers)
+    off = np.full(len(points), np.inf)
+    rho = np.hypot(points[:, 0], points[:, 1])
+    for k in range(lasers):
+        own = np.flatnonzero(laser == k)
+        if len(own) < 3:
+            continue
+        near = np.ones(len(own), np.bool_)
+        for _ in range(10):
+            design = np.column_stack([rho[own], np.ones(len(own))])
+            slope[k], height[k] = np.linalg.lstsq(design[near], points[own[near], 2], rcond=None)[0]
+            off[own] = points[own, 2] - slope[k] * rho[own] - height[k]
+            size = np.abs(off[own])
+            near = size <= max(1e-6, 2.0 * float(np.median(size)))
+    return Cones(slope, height), off
+
+
+def solve(points: F64, laser: I64, s: F64, lasers: int, ticks: int = 0, count: float = 0.0) -> Solved | None:
+    """Find the motion of points ``(N, 3)`` of lasers ``(N,)`` at places ``(N,)``; None where nothing locks.
+
+    Args:
+        ticks, count: the sensor's steps; 0 where they are not known.
+    """
+    ok = (laser >= 0) & (np.hypot(points[:, 0], points[:, 1]) > _NEAREST)
+    points, laser, s = points[ok], laser[ok], s[ok]
+    if len(points) < _SAMPLE // 10:
+        return None
+    few = slice(None, None, len(points) // _SAMPLE + 1)
+    motion = np.zeros(6)
+    for _ in range(6):
+        motion = _by_cones(points[few], laser[few], s[few], lasers, motion, (0, 1, 2, 3, 4))
+    early = s < 0.1
+    if not count:
+        raw = undo(points[early], s[early], motion)
+        reach = np.sqrt((raw**2).sum(axis=1))
+        count, sharp = find_count([reach[laser[early] == k] for k in range(lasers)])
+        if not sharp:
+            return None
+    motion = _by_counts(points, laser, s, lasers, motion, count)
+    for _ in range(2):
+        motion = _by_cones(points[few], laser[few], s[few], lasers, motion, (3, 4))
+    found = _by_ticks(undo(points, s, motion), laser, s, lasers, (ticks,) if ticks else TICKS)
+    if found is None:
+        return None
+    motion[5], ticks = found
+    return Solved(motion, ticks, count)
+
+
+def find_motion(points: NDArray[np.float32], sensor: SensorModel) -> F64 | None:
+    """Return the motion that moved the points ``(N, 3)`` of a known sensor off its lattice; None where there is none to be found."""
+    wide = points.astype(np.float64)
+    firing = find_firing(wide)
+    # Lasers that look at the sky may lack in a model, but not many.
+    if not sensor.n_lasers <= firing <= 2 * sensor.n_lasers:
+        return None
+    s = places(len(wide), firing)
+    seen = Listed(wide).seen
+    laser = np.where(seen, np.arange(len(wide)) % firing, -1)
+    found = solve(wide, laser, s, firing, sensor.ticks_per_turn, sensor.count)
+    if found is None:
+        return None
+    before, after = (aim(sensor, q[seen])[3] < _ON_LATTICE for q in (wide, undo(wide, s, found.motion)))
+    return found.motion if after.mean() > before.mean() + _WORTH_IT else None
+
+
+def _by_cones(points: F64, laser: I64, s: F64, lasers: int, motion: F64, free: tuple[int, ...]) -> F64:
+    """One Gauss-Newton step of the components ``free`` on what cones are left when they are fitted anew."""
+    raw = undo(points, s, motion)
+    cones, off = fit_cones(raw, laser, lasers)
+    rho = np.hypot(raw[:, 0], raw[:, 1])
+    slope = cones.slope[laser]
+    normal = np.stack([-slope * raw[:, 0] / rho, -slope * raw[:, 1] / rho, np.ones(len(raw))], axis=1)
+    # d raw / d v = -s, d raw / d w = -s w x raw; what depends on w and the normal alone is their triple product.
+    jacobian = np.concatenate([-s[:, None] * normal, -s[:, None] * np.cross(raw, normal)], axis=1)[:, free]
+    # Cones are fitted together with the motion: what they could take up is taken out of the columns, too.
+    good = np.abs(off) < 4.0 * np.median(np.abs(off))
+    for k in range(lasers):
+        own = np.flatnonzero(good & (laser == k))
+        if len(own) > 2:
+            design = np.column_stack([rho[own], np.ones(len(own))])
+            jacobian[own] -= design @ np.linalg.lstsq(design, jacobian[own], rcond=None)[0]
+    change = np.zeros(6)
+    change[list(free)] = np.linalg.lstsq(jacobian[good], -off[good], rcond=None)[0]
+    return np.asarray(motion + change)
+
+
+def _by_counts(points: F64, laser: I64, s: F64, lasers: int, motion: F64, count: float) -> F64:
+    """Adjust v until ranges are whole counts, from the end of the turn on, where it hardly matters."""
+    motion = motion.copy()
+    sector = _SECTOR
+    while True:
+        near = s < sector
+        own, place, k = points[near], s[near], laser[near]
+        for _ in range(4):
+            raw = undo(own, place, motion)
+            reach = np.sqrt((raw**2).sum(axis=1))
+            phase = np.exp(2j * np.pi * reach / count)
+            sums = np.bincount(k, phase.real, lasers) + 1j * np.bincount(k, phase.imag, lasers)
+            off = np.angle(phase * np.exp(-1j * np.angle(sums))[k]) / (2 * np.pi) * count
+            jacobian = -place[:, None] * raw / reach[:, None]
+            good = np.abs(off) < 0.4 * count
+            # A sector says nothing of what it does not show: the change is held back there.
+            held = jacobian[good].T @ jacobian[good] + 1e-4 * good.sum() * sector**2 * np.eye(3)
+            motion[:3] -= np.linalg.solve(held, jacobian[good].T @ off[good])
+        if sector >= 1.0:
+            return motion
+        sector = min(sector * _WIDER, 1.0)
+
+
+def _by_ticks(
+    raw: F64, laser: I64, s: F64, lasers: int, candidates: tuple[int, ...]
+) -> tuple[float, int] | None:
+    """Return the yaw per turn at which azimuths are whole ticks, and which ones; None where they never are."""
+    azimuth = np.arctan2(raw[:, 1], raw[:, 0])
+    far = np.hypot(raw[:, 0], raw[:, 1]) > 8.0
+    step = np.min(np.diff(np.unique(s)), initial=1.0)
+    place = np.rint(s / step).astype(np.int64)
+    best, sharpest = None, _LINE
+    for ticks in candidates:
+        total = np.zeros(_PADDED)
+        seen = 0
+        for k in range(lasers):
+            own = far & (laser == k)
+            if own.sum() < 50:
+                continue
+            phase = np.exp(1j * ticks * azimuth[own])
+            line = np.bincount(place[own], phase.real, _PADDED) + 1j * np.bincount(
+                place[own], phase.imag, _PADDED
+            )
+            total += np.abs(np.fft.fft(line[:_PADDED]))
+            seen += int(own.sum())
+        if not seen:
+            continue
+        turned = np.fft.fftfreq(_PADDED, 1 / (2 * np.pi)) / (ticks * step)
+        total[np.abs(turned) > _FASTEST] = 0.0
+        at = int(total.argmax())
+        if total[at] / seen > sharpest:
+            best, sharpest = (float(turned[at]), ticks), float(total[at] / seen)
+    return best

@@ -1,0 +1,236 @@
+"""Points of a sensor whose model is known, in any order: laser, tick, count, and what the model is off by.
+
+The lattice's own coder (:mod:`.level_coder`) wants rings in the order of KITTI's files; this one follows the list. Every point
+has a *kind*: on the lattice (AIMED), no return (ZERO, NAN), or OFF it; points off the lattice are coded elsewhere.
+
+* The laser is told from the one at the same place of the firing before (``left`` points back; 0: from the point before).
+* The tick goes on as the firing's other ticks, or as those before, did.
+* The count is guessed in 1/d from the same laser's last two points and from the nearest in azimuth of the lasers next to it
+  in elevation, as far as the list has come there.
+
+With an error allowed that is all; else each coordinate is told from the model's as whole units (``per`` a metre, 0: float32 bits).
+The decoder repeats all of this, hence only ``+ - * /`` and square roots on float64, in a fixed order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.lattice import model_point
+from salpcc.stages.ingest.untwist import moved
+from salpcc.stages.residual_code.aimed_neighbours import above_and_below, guess_inverse, link
+from salpcc.stages.residual_code.range_coder import new_bits
+from salpcc.stages.residual_code.ray_forms import SPREADS, bucket_of, coordinate_of, whole_of
+from salpcc.stages.residual_code.residual_bits import PER_CONTEXT, SIZES, code_bit, code_number, size_of
+
+AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
+PREDICTORS = 7
+MAX_LEVEL = (1 << 20) - 1
+NAN_BITS = 0x7FC00000
+_SIZES = SIZES // 2 + 1  # as contexts
+
+Bits = NDArray[np.uint16]
+Models = tuple[Bits, Bits, Bits, Bits, Bits, Bits, Bits, Bits]
+
+
+def new_models() -> Models:
+    """Return fresh contexts: of kinds, lasers, ticks (two), counts (two), and of what the model is off by (two)."""
+    pairs = _SIZES * _SIZES * PER_CONTEXT
+    return (
+        new_bits(64 * 4),
+        new_bits(257 * 256),
+        new_bits(pairs),
+        new_bits(4 * _SIZES * PER_CONTEXT),
+        new_bits(SPREADS * PER_CONTEXT),
+        new_bits(pairs),
+        new_bits(3 * pairs),
+        new_bits(3 * 16 * PER_CONTEXT),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _code_kind(writing, state, data, bits, kinds, i, left, up):  # type: ignore[no-untyped-def]
+    k1 = np.int64(kinds[i - 1]) if i >= 1 else 0
+    k2 = np.int64(kinds[i - left]) if left > 0 and i >= left else 0
+    k3 = np.int64(kinds[i - up]) if up > 0 and i >= up else 0
+    kind = np.int64(kinds[i])
+    at = (k1 * 16 + k2 * 4 + k3) * 4
+    high = code_bit(writing, state, data, bits, at, bits, at + 1, kind >> 1)
+    low = code_bit(writing, state, data, bits, at + 2 + high, bits, at + 2 + high, kind & 1)
+    return high * 2 + low
+
+
+@njit(cache=True, error_model="numpy")
+def _code_laser(writing, state, data, bits, known, before, laser):  # type: ignore[no-untyped-def]
+    """Where ``known``, the laser is most often the one before at this place; else it depends on the point before."""
+    if known:
+        if code_bit(writing, state, data, bits, 0, bits, 0, np.int64(laser != before)) == 0:
+            return before
+        before = 0
+    node = 1
+    for b in range(7, -1, -1):
+        at = ((0 if known else 1 + before) * 256) + node
+        node = node << 1 | code_bit(writing, state, data, bits, at, bits, at, (laser >> b) & 1)
+    return node & 255
+
+
+@njit(cache=True, error_model="numpy")
+def code_aimed(  # type: ignore[no-untyped-def]
+    writing,
+    points,
+    kinds,
+    laser,
+    tick,
+    level,
+    left,
+    up,
+    form,
+    per,
+    exact,
+    step,
+    sensor,
+    motion,
+    models,
+    state,
+    data,
+):
+    """Write or read ``S`` points: ``points (S, 3)`` float32, kinds, lasers, ticks, levels ``(S,)``.
+
+    Writing, all of them are given, and points are where they decode to. ``form`` is GRID or BITS, if ``exact``; ``step`` counts
+    make a level. ``sensor``: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks,
+    neighbours above and below. ``motion``: whether there is one, and its six numbers.
+    """
+    parameters, constants, sines, cosines, count_size, phase, above, below = sensor
+    moving, m = motion
+    of_kind, of_laser, of_tick, of_pace, of_spread, of_level, of_fix, of_reach = models
+    n, ticks, lasers = len(points), len(sines), len(parameters)
+    slots = max(left, 1) if left > 0 else lasers
+    firings = max((n + slots - 1) // slots, 1)
+    slot_laser, slot_tick, slot_cycle = np.full(slots, -1), np.zeros(slots, np.int64), np.full(slots, -1)
+    slot_size = np.zeros(slots, np.int64)  # of the last miss of the tick
+    hop = np.full((lasers, lasers), 1 << 30)
+    pace, advance, advance_from, advance_at, miss = 0, 0, -1, -1, 0
+    recent = -1
+    links = np.full((n, 2), -1)  # of the same laser: point before, point after
+    ends = np.full((lasers, 2), -1)  # of each laser: first and last point so far
+    cursor = np.full((lasers, 2), -1)
+    inverse, azimuth = np.zeros(n), np.zeros(n)
+    beside = np.zeros((n, 2))  # guesses from above and below, as they were
+    errors = np.zeros((n, PREDICTORS), np.uint16)
+    sizes = np.zeros((n, 4), np.uint8)
+    guess = np.zeros(PREDICTORS)
+    drift = np.zeros(3)
+    for i in range(n):
+        kind = _code_kind(writing, state, data, of_kind, kinds, i, left, up)
+        kinds[i] = kind
+        if kind == OFF:
+            continue
+        if kind == NAN or (kind == ZERO and not moving):
+            if not writing:
+                bits = np.int32(0 if kind == ZERO else NAN_BITS)
+                points[i, 0] = points[i, 1] = points[i, 2] = bits.view(np.float32)
+            continue
+        if not writing and state[3] != 0:
+            return
+        cycle = i // slots if left > 0 else i
+        x = y = z = 0.0
+        k, place = 0, -1
+        if kind == AIMED:
+            slot = i % slots if left > 0 else -1
+            known = left > 0 and slot_laser[slot] >= 0
+            before = slot_laser[slot] if known else (np.int64(laser[recent]) if recent >= 0 else 0)
+            k = _code_laser(writing, state, data, of_laser, known, before, np.int64(laser[i]))
+            if k >= lasers:
+                state[3] = 1
+                return
+            laser[i] = k
+            if left == 0:
+                slot = k
+            # The tick: as the point before in the firing went on; at the pace; as this pair of lasers did before.
+            how, expected = 3, 0
+            if left == 0:
+                if recent >= 0:
+                    how = 0 if hop[laser[recent], k] < 1 << 30 else 2
+                    expected = tick[recent] + (hop[laser[recent], k] if how == 0 else 0)
+            elif known:
+                how, expected = 1, slot_tick[slot] + pace * (cycle - slot_cycle[slot])
+                if advance_at == cycle and advance_from == slot_cycle[slot]:
+                    how, expected = 0, slot_tick[slot] + advance
+            elif recent >= 0:
+                how, expected = 2, tick[recent]
+            last_miss = min(slot_size[slot], _SIZES - 1)
+            off = (tick[i] - expected) % ticks
+            off = off - ticks if off > ticks // 2 else off
+            off = code_number(
+                writing, state, data, of_tick, last_miss * _SIZES + min(miss, _SIZES - 1),
+                of_pace, how * _SIZES + min(miss, _SIZES - 1), off,
+            )  # fmt: skip
+            tick[i] = (expected + off) % ticks
+            miss = size_of(abs(off))
+            slot_size[slot] = miss
+            if left == 0 and recent >= 0:
+                jump = (tick[i] - tick[recent]) % ticks
+                hop[laser[recent], k] = jump - ticks if jump > ticks // 2 else jump
+            elif known:
+                went = (tick[i] - slot_tick[slot]) % ticks
+                went = went - ticks if went > ticks // 2 else went
+                advance, advance_from, advance_at = went, slot_cycle[slot], cycle
+                if cycle - slot_cycle[slot] == 1:
+                    pace = went
+            slot_laser[slot], slot_tick[slot], slot_cycle[slot] = k, tick[i], cycle
+            # The count.
+            azimuth[i] = tick[i] + phase[k]
+            place = ends[k, 1]
+            upper = above_and_below(i, k, above[k], 0, ticks, azimuth, inverse, links, ends, cursor, beside)
+            lower = above_and_below(i, k, below[k], 1, ticks, azimuth, inverse, links, ends, cursor, beside)
+            r, spread = guess_inverse(
+                i, place, upper, lower, ticks, azimuth, inverse, links, beside, errors, guess
+            )
+            unit = count_size * step
+            d0 = parameters[k, 4]
+            middle = 0.5 * (step - 1)
+            foretold = np.int64(
+                np.rint(min(max(((r - d0) / count_size - middle) / step, 0.0), float(MAX_LEVEL)))
+            )
+            size1 = np.int64(sizes[place, 0]) if place >= 0 else _SIZES - 1
+            size2 = np.int64(sizes[upper, 0]) if upper >= 0 else (
+                np.int64(sizes[recent, 0]) if recent >= 0 else _SIZES - 1)  # fmt: skip
+            number = code_number(
+                writing, state, data, of_spread, bucket_of(spread, unit),
+                of_level, size1 * _SIZES + size2, level[i] - foretold,
+            )  # fmt: skip
+            sizes[i, 0] = (size_of(abs(number)) + 1) // 2
+            level[i] = min(max(foretold + number, 0), MAX_LEVEL)
+            count = level[i] * step + middle
+            x, y, z = model_point(
+                np.int32(tick[i]), count, parameters[k], constants[k], count_size, sines, cosines
+            )
+            d = max(count * count_size + d0, 1e-3)
+            inverse[i] = 1.0 / d
+            for p in range(PREDICTORS):
+                errors[i, p] = np.uint16(min(abs(guess[p] * d - 1.0), 1.0) * 65535.0)
+            link(i, k, links, ends)
+        if moving:
+            x, y, z = moved(x, y, z, (firings - 1 - i // slots) / firings, m)
+        if exact:
+            old = recent if place < 0 else place
+            reach = min(bucket_of(np.sqrt(x * x + y * y + z * z), 0.25) // 2, 15)
+            for c in range(3):
+                model = x if c == 0 else (y if c == 1 else z)
+                told = model + (drift[c] if moving else 0.0)
+                whole = whole_of(told, form, per)
+                side = np.int64(sizes[old, 1 + c]) if old >= 0 else _SIZES - 1
+                close = np.int64(sizes[recent, 1 + c]) if recent >= 0 else _SIZES - 1
+                number = code_number(
+                    writing, state, data, of_fix, (c * _SIZES + side) * _SIZES + close, of_reach, c * 16 + reach,
+                    whole_of(points[i, c], form, per) - whole if writing else 0,
+                )  # fmt: skip
+                sizes[i, 1 + c] = (size_of(abs(number)) + 1) // 2
+                points[i, c] = coordinate_of(whole + number, form, per)
+                drift[c] = np.float64(points[i, c]) - model
+        elif not writing:
+            points[i, 0], points[i, 1], points[i, 2] = x, y, z
+        if kind == AIMED:
+            recent = i

@@ -1,0 +1,118 @@
+"""What :mod:`.aimed_coder` foretells a distance from: points of the same laser and of those next to it in elevation."""
+
+from __future__ import annotations
+
+from numba import njit
+
+_NEAR = 0.02  # turns; points farther apart in azimuth are not interpolated between
+
+
+@njit(cache=True, error_model="numpy")
+def link(i, k, links, ends):  # type: ignore[no-untyped-def]
+    """Append point i to those of laser k, a ring that closes on itself."""
+    if ends[k, 1] < 0:
+        ends[k, 0] = i
+        links[i, 0] = links[i, 1] = i
+    else:
+        first, last = ends[k, 0], ends[k, 1]
+        links[i, 0], links[i, 1] = last, first
+        links[last, 1] = links[first, 0] = i
+    ends[k, 1] = i
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _apart(a, b, ticks):  # type: ignore[no-untyped-def]
+    """Azimuth from b to a in ticks, the short way round."""
+    off = a - b
+    half = 0.5 * ticks
+    if off > half:
+        off -= ticks
+    elif off < -half:
+        off += ticks
+    return off
+
+
+@njit(cache=True, error_model="numpy")
+def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cursor, beside):  # type: ignore[no-untyped-def]
+    """Find the point of laser ``other`` (-1: none) nearest in azimuth to point i of laser k; -1 where it has none yet.
+
+    ``beside[i, side]`` becomes its 1/d, interpolated to the azimuth of i where points lie on both sides; 0 without.
+    """
+    beside[i, side] = 0.0
+    if other < 0 or ends[other, 1] < 0:
+        return -1
+    at = cursor[k, side]
+    if at < 0:
+        first, last = ends[other, 0], ends[other, 1]
+        near = abs(_apart(azimuth[i], azimuth[first], ticks)) < abs(_apart(azimuth[i], azimuth[last], ticks))
+        at = first if near else last
+    off = _apart(azimuth[i], azimuth[at], ticks)
+    for way in (1, 0):
+        while True:
+            step = links[at, way]
+            nearer = _apart(azimuth[i], azimuth[step], ticks)
+            if not abs(nearer) < abs(off):
+                break
+            at, off = step, nearer
+    cursor[k, side] = at
+    value = inverse[at]
+    for way in (1, 0):
+        beyond = _apart(azimuth[i], azimuth[links[at, way]], ticks)
+        if off * beyond < 0.0 and abs(beyond) < _NEAR * ticks:
+            value += (inverse[links[at, way]] - value) * (off / (off - beyond))
+            break
+    beside[i, side] = value
+    return at
+
+
+@njit(cache=True, error_model="numpy")
+def guess_inverse(i, place, upper, lower, ticks, azimuth, inverse, links, beside, errors, guess):  # type: ignore[no-untyped-def]
+    """Fill the guesses of 1/d of point i; return the distance they make together, and how far it may be off.
+
+    ``place``: the last point of the same laser; ``upper``, ``lower``: the nearest of its neighbours; -1: none.
+    """
+    if place >= 0:
+        near = inverse[place]
+    elif upper >= 0:
+        near = beside[i, 0]
+    elif lower >= 0:
+        near = beside[i, 1]
+    else:
+        near = 0.1
+    guess[:] = near
+    if place >= 0:
+        before = links[place, 0]
+        went = _apart(azimuth[place], azimuth[before], ticks)
+        goes = _apart(azimuth[i], azimuth[place], ticks)
+        ratio = goes / went if went != 0.0 else 0.0
+        if 0.0 < ratio < 2.5:
+            guess[1] = near + (near - inverse[before]) * ratio
+    for side in range(2):
+        value = beside[i, side]
+        if (upper if side == 0 else lower) < 0:
+            continue
+        guess[2 + 2 * side] = value
+        if place >= 0 and beside[place, side] > 0.0:
+            guess[3 + 2 * side] = near + value - beside[place, side]
+    if upper >= 0 and lower >= 0:
+        guess[6] = 0.5 * (beside[i, 0] + beside[i, 1])
+    elif upper >= 0:
+        guess[6] = 0.5 * (near + beside[i, 0])
+    elif lower >= 0:
+        guess[6] = 0.5 * (near + beside[i, 1])
+    total = mean = spread = 0.0
+    for p in range(len(guess)):
+        guess[p] = min(max(guess[p], 1.0 / 1000.0), 10.0)
+        error, seen = 0.0, 0.0
+        for j in (place, upper, lower):
+            if j >= 0:
+                error += errors[j, p] * (1.0 / 65535.0)
+                seen += 1.0
+        error = error / seen + 5e-5 if seen > 0.0 else 0.5
+        weight = 1.0 / (error * error)
+        weight = weight * weight
+        total += weight
+        mean += weight * guess[p]
+        spread += weight * error
+    r = total / mean
+    return r, spread / total * r

@@ -1,0 +1,129 @@
+"""Strays on the lattice of the archive's sensor model, and those off it on rays as ever: form AIMED of :mod:`.stray_coder`.
+
+Body: form of the corrections (uint8, ALONG: none), counts per level, points off the lattice, bytes of the walk (uint32 each); the walk
+of :mod:`.aimed_coder`; the stream of :mod:`.stray_coder` of the points off the lattice, if there are any.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.find_lasers import find_firing
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.residual_code.aimed_coder import OFF
+from salpcc.stages.residual_code.aimed_stream import (
+    EXACT_REACH,
+    Aimed,
+    Way,
+    put,
+    put_for_good,
+    read_aimed,
+    step_of,
+    write_aimed,
+)
+from salpcc.stages.residual_code.layout import likely_layouts
+from salpcc.stages.residual_code.ray_coder import F32, Layout
+from salpcc.stages.residual_code.ray_forms import ALONG, BITS
+
+MOST_POINTS = 1 << 22
+_BODY = struct.Struct("<BIII")
+_FEWEST = 500
+_LEAST_SHARE = 0.5  # of the points that must lie on the lattice
+TRIED = 1 << 15  # points
+_LARGEST_STEP = 1 << 16
+
+Motion = NDArray[np.float64] | None
+Array = NDArray[np.uint8]
+
+
+def choose(
+    points: F32, form: int, per: int, max_error: float, sensor: SensorModel, motion: Motion, settled: bool
+) -> tuple[Way, Aimed] | None:
+    """Return how points ``(S, 3)`` are best put on the lattice, and there; None where too few of them lie on it.
+
+    Args:
+        form, per: of corrections; ALONG where an error is allowed.
+        settled: the points were put there before, and no bit may change.
+    """
+    if not _FEWEST <= len(points) <= MOST_POINTS:
+        return None
+    exact = form != ALONG
+    moved = None if motion is None else tuple(motion.tolist())
+    layouts: list[Layout] = [(1, 0)]
+    if moved is not None:
+        layouts = [(find_firing(points.astype(np.float64)), 1)]
+        if layouts[0][0] < 2:
+            return None
+    way = Way(layouts[0], form, per, exact, step_of(0.0 if exact else max_error, sensor), moved)
+    if exact or settled:
+        aimed = put(points, sensor, way, EXACT_REACH if exact else 0.0)
+    else:
+        aimed = put_for_good(points, sensor, way, max_error)
+    if (aimed.kinds != OFF).mean() < _LEAST_SHARE:
+        return None
+    if moved is None:
+        layouts = likely_layouts(points, lanes=True)
+    ways = [replace(way, layout=layout) for layout in layouts]
+    return (way if len(ways) == 1 else min(ways, key=lambda w: _tried(aimed, points, sensor, w))), aimed
+
+
+def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
+    """Bytes that the beginning takes."""
+    part = slice(0, TRIED)
+    names = ("points", "kinds", "laser", "tick", "level")
+    first = Aimed(*(getattr(aimed, name)[part].copy() for name in names))
+    out = np.empty(32 * len(first.points) + 4096, np.uint8)
+    return write_aimed(first, np.ascontiguousarray(points[part]), sensor, way, out)
+
+
+def write_body(
+    chosen: tuple[Way, Aimed], points: F32, sensor: SensorModel, write_rest: Callable[[F32], bytes]
+) -> bytes:
+    """Encode points ``(S, 3)``; ``write_rest`` encodes those off the lattice."""
+    way, aimed = chosen
+    out = np.empty(32 * len(points) + 4096, np.uint8)
+    written = write_aimed(aimed, points, sensor, way, out)
+    off = aimed.kinds == OFF
+    head = _BODY.pack(way.form, way.step, int(off.sum()), written)
+    return (
+        head + out[:written].tobytes() + (write_rest(np.ascontiguousarray(points[off])) if off.any() else b"")
+    )
+
+
+def read_body(
+    n: int,
+    layout: Layout,
+    per: int,
+    max_error: float,
+    data: Array,
+    sensor: SensorModel,
+    motion: Motion,
+    read_rest: Callable[[int, Array], tuple[F32, bool]],
+) -> tuple[F32, bool]:
+    """Inverse of :func:`write_body`: points ``(n, 3)``, and whether the data made sense."""
+    nothing = np.zeros((n, 3), np.float32), False
+    if n > MOST_POINTS or len(data) < _BODY.size:
+        return nothing
+    form, step, off, length = _BODY.unpack(data[: _BODY.size].tobytes())
+    end = _BODY.size + length
+    if form > BITS or not 1 <= step <= _LARGEST_STEP or off > n or end > len(data):
+        return nothing
+    if (
+        (form == ALONG) != (max_error > 0)
+        or (form != ALONG and step != 1)
+        or (motion is not None and layout[0] < 2)
+    ):
+        return nothing
+    moved = None if motion is None else tuple(motion.tolist())
+    way = Way(layout, form, per, form != ALONG, step, moved)
+    points, kinds, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]))
+    if not sound or int((kinds == OFF).sum()) != off:
+        return nothing
+    if off:
+        points[kinds == OFF], sound = read_rest(off, np.ascontiguousarray(data[end:]))
+    return points, bool(sound and (off > 0 or end == len(data)))

@@ -1,0 +1,161 @@
+"""Points put onto the lattice of a known sensor, and as the bytes of :mod:`.aimed_coder`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.aim import aim
+from salpcc.stages.ingest.lattice import laser_constants, unproject
+from salpcc.stages.ingest.list_motion import places, redo, undo
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.trig import TWO_PI, turn_tables
+from salpcc.stages.residual_code.aimed_coder import (
+    AIMED,
+    MAX_LEVEL,
+    NAN,
+    NAN_BITS,
+    OFF,
+    ZERO,
+    code_aimed,
+    new_models,
+)
+from salpcc.stages.residual_code.range_coder import finish_encoder, start_decoder, start_encoder
+from salpcc.stages.residual_code.ray_coder import F32, Layout
+
+EXACT_REACH = 0.005  # metres; what is farther from the lattice costs less off it
+_SLACK = 1e-4  # metres of an allowed error that are left to what the model is off by
+
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Aimed:
+    """Points ``(S, 3)`` on a lattice.
+
+    ``points`` are where they decode to without corrections; laser, tick, level are of those of kind AIMED.
+    """
+
+    points: F32
+    kinds: NDArray[np.uint8]
+    laser: NDArray[np.uint8]
+    tick: I64
+    level: I64
+
+
+@dataclass(frozen=True)
+class Way:
+    """How points are coded: what of a turn ``motion`` moved them, the layout, form and units of corrections, counts per level."""
+
+    layout: Layout
+    form: int
+    per: int
+    exact: bool
+    step: int
+    motion: tuple[float, ...] | None
+
+
+def step_of(max_error: float, sensor: SensorModel) -> int:
+    """Counts that a level may span: its middle is at most half of them less a half off."""
+    return (
+        max(1, int(np.floor(2.0 * (max_error - _SLACK) / sensor.count + 1.0 + 1e-9))) if max_error > 0 else 1
+    )
+
+
+def put(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
+    """Put points ``(S, 3)`` on the lattice where that moves them by ``reach`` metres at most; 0: by no bit. Others are of kind OFF."""
+    n = len(points)
+    wide = points.astype(np.float64)
+    s = places(n, max(way.layout[0], 1))
+    motion = None if way.motion is None else np.array(way.motion)
+    laser, tick, count, _ = aim(sensor, wide if motion is None else undo(wide, s, motion))
+    level = np.clip(count // way.step, 0, MAX_LEVEL)
+    middle = (level * way.step + 0.5 * (way.step - 1)).astype(np.float64)
+    model = unproject(sensor, np.maximum(laser, 0).astype(np.uint8), tick.astype(np.int32), middle)
+    origin = np.zeros((n, 3))
+    if motion is not None:
+        model, origin = redo(model, s, motion), redo(origin, s, motion)
+    kinds = np.where((laser >= 0) & _within(points, model, reach), AIMED, OFF).astype(np.uint8)
+    bits = points.view(np.int32)
+    if motion is None:
+        kinds[(bits == 0).all(axis=1)] = ZERO
+    else:
+        kinds[_within(points, origin, reach)] = ZERO
+    kinds[(bits == NAN_BITS).all(axis=1)] = NAN
+    moved = points.copy()
+    moved[kinds == AIMED] = model[kinds == AIMED]
+    moved[kinds == ZERO] = origin[kinds == ZERO]
+    return Aimed(moved, kinds, np.maximum(laser, 0).astype(np.uint8), tick, level)
+
+
+def put_for_good(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
+    """:func:`put` points that will be found again at the same places by a second :func:`put` that moves no bit."""
+    first = put(points, sensor, way, reach)
+    again = put(first.points, sensor, way, 0.0)
+    lost = (first.kinds != OFF) & (again.kinds != first.kinds)
+    kinds = np.where(lost, OFF, first.kinds).astype(np.uint8)
+    return replace(again, points=np.where(lost[:, None], points, first.points), kinds=kinds)
+
+
+def write_aimed(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, out: NDArray[np.uint8]) -> int:
+    """Write ``points`` whose lattice places are ``aimed``; return the bytes written to ``out``, -1 if full."""
+    state = start_encoder()
+    _code(True, points.copy(), aimed, sensor, way, state, out)
+    return int(finish_encoder(state, out))
+
+
+def read_aimed(
+    n: int, sensor: SensorModel, way: Way, data: NDArray[np.uint8]
+) -> tuple[F32, NDArray[np.uint8], bool]:
+    """Inverse of :func:`write_aimed`: points ``(n, 3)``, kinds, and whether the data made sense; points of kind OFF are zeros."""
+    empty = Aimed(
+        np.zeros((n, 3), np.float32),
+        np.zeros(n, np.uint8),
+        np.zeros(n, np.uint8),
+        np.zeros(n, np.int64),
+        np.zeros(n, np.int64),
+    )
+    state = start_decoder(data)
+    _code(False, empty.points, empty, sensor, way, state, data)
+    return empty.points, empty.kinds, bool(state[3] == 0)
+
+
+def _code(
+    writing: bool,
+    points: F32,
+    aimed: Aimed,
+    sensor: SensorModel,
+    way: Way,
+    state: I64,
+    data: NDArray[np.uint8],
+) -> None:
+    motion = (0.0,) * 6 if way.motion is None else way.motion
+    code_aimed(
+        writing, points, aimed.kinds, aimed.laser, aimed.tick, aimed.level, *way.layout, way.form, float(way.per), way.exact,
+        way.step, _tables(sensor), (way.motion is not None, motion), new_models(), state, data,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=4)
+def _tables(sensor: SensorModel) -> tuple[Any, ...]:
+    """What :func:`code_aimed` wants of a sensor; neighbours in elevation are -1 where there is none."""
+    parameters = np.ascontiguousarray(sensor.parameters)
+    order = np.argsort(-sensor.theta, kind="stable")
+    above, below = np.full(len(order), -1), np.full(len(order), -1)
+    above[order[1:]], below[order[:-1]] = order[:-1], order[1:]
+    phase = parameters[:, 3] * (sensor.ticks_per_turn / TWO_PI)
+    sines, cosines = turn_tables(sensor.ticks_per_turn)
+    return parameters, laser_constants(parameters), sines, cosines, sensor.count, phase, above, below
+
+
+def _within(points: F32, model: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
+    near = model.astype(np.float32)
+    if reach == 0.0:
+        return np.asarray((near.view(np.int32) == points.view(np.int32)).all(axis=1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = near.astype(np.float64) - points
+        return np.asarray(np.sqrt((off * off).sum(axis=1)) <= reach)
