@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Self, overload
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
@@ -102,6 +102,10 @@ class Archive:
     def passing(self) -> Iterator[LogMessage]:
         """Yield the log's messages that are no scans, untouched, in its order."""
         return self._reader.passing()
+
+    def enclosed(self) -> Iterator[Enclosed]:
+        """Yield the log's attachments and metadata, in its order."""
+        return self._reader.enclosed()
 
     @property
     def names(self) -> list[str]:

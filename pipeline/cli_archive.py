@@ -15,6 +15,7 @@ from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.cli_run import PLACE, parse_frames
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.inspect import inspect as describe
+from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.recover import recover as recover_archive
 from salpcc.pipeline.verify import verify as verify_archive
 from salpcc.schemas.errors import UsageError
@@ -49,6 +50,10 @@ def decode(
     if to not in EXPORTS:
         raise UsageError(f"--to {to}: choose from {', '.join(EXPORTS)}")
     with Archive.open(archive) as opened:
+        if to == "mcap" and any(channel.encoding == "ros1" for channel in opened.log.values()):
+            STDERR.print(
+                "ROS 2 has no header.seq: the numbers in ROS 1 headers stay behind; --to bag keeps them"
+            )
         count = 0
         for path in EXPORTS[to](opened, _selected(opened, frames), out):
             count += 1

@@ -18,7 +18,7 @@ from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.ros2 import ros2_channel
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic, atomic_file
-from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.log import LogChannel, LogMessage, LogMetadata
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import scan_to_message
@@ -32,7 +32,10 @@ _POINTS = LogChannel(
 def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
     """Write ``out/SEQ/SEQ.mcap`` and ``metadata.yaml``: every message as recorded, ROS 1 as ROS 2.
 
-    Scans that were no messages become ``sensor_msgs/msg/PointCloud2`` of x, y, z, intensity, bits unchanged.
+    Scans that were no messages become ``sensor_msgs/msg/PointCloud2`` of x, y, z, intensity, bits unchanged. Of an
+    MCAP file come back the messages, with times and numbers, the channels and schemas, attachments and metadata; not
+    the ids of channels, the order of messages of the same time, chunks and their compression, indexes, the library
+    in the header, schemas that no channel uses. Of ROS 1, ``header.seq`` goes: ROS 2's headers have none.
     """
     path = out / archive.sequence / f"{archive.sequence}.mcap"
     counts: Counter[tuple[str, str, str]] = Counter()
@@ -47,6 +50,12 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path
             ids[channel] = writer.register_channel(told.topic, told.encoding, schema, dict(told.metadata))
             if told.encoding == "cdr":
                 counts[told.topic, told.type, dict(told.metadata).get("offered_qos_profiles", "")] += 0
+        for found in archive.enclosed():
+            if isinstance(found, LogMetadata):
+                writer.add_metadata(found.name, dict(found.facts))
+            else:
+                times = found.create_time, found.log_time
+                writer.add_attachment(*times, found.name, found.media_type, found.data)
         for channel, message in messages(archive, scans):
             told, translate = translated[channel]
             data = translate(message.data)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 
 from salpcc.pipeline.plan import SequencePlan
@@ -20,7 +21,8 @@ from salpcc.stages.residual_code.passing import PassingLog
 def passing_log(plan: SequencePlan, failed: set[str], config: RunConfig) -> PassingLog | None:
     """Return what passes through from the log of a sequence; None where it was no log.
 
-    That is all messages of other topics, and the clouds that could not be coded (``failed``, by scan name).
+    That is all messages of other topics, the clouds that could not be coded (``failed``, by scan name), attachments
+    and metadata.
     With ``--frames`` it is what lies between the first and the last scan.
 
     Raises:
@@ -43,7 +45,7 @@ def passing_log(plan: SequencePlan, failed: set[str], config: RunConfig) -> Pass
             elif config.frames is None or first <= message.log_time <= last:
                 yield message
 
-    return PassingLog(log.channels.values(), messages())
+    return PassingLog(log.channels.values(), messages(), log.enclosed())
 
 
 def compare_passing(reader: ArchiveReader, root: Path, scans: int | None) -> tuple[int, list[str]]:
@@ -62,12 +64,15 @@ def compare_passing(reader: ArchiveReader, root: Path, scans: int | None) -> tup
     there = Counter(_identity(log.channels[m.channel], m) for m in log.messages())
     try:
         here = Counter(_identity(reader.log[m.channel], m) for m in reader.passing())
+        same = all(one == other for one, other in zip_longest(reader.enclosed(), log.enclosed()))
     except ArchiveError as error:
         return 0, [str(error)]
     topics = Counter(topic for topic, *_ in (here - there).elements())
     problems = [
         f"topic {topic}: {n} messages are not those of the log" for topic, n in sorted(topics.items())
     ]
+    if not same:
+        problems.append("attachments or metadata are not those of the log")
     if scans is not None and here.total() + scans != there.total():
         problems.append(f"{there.total() - scans - here.total()} messages of the log are missing")
     return here.total(), problems

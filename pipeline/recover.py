@@ -67,7 +67,7 @@ def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recover
         found.notes.append(f"the index is gone: what came after scan {last} is gone, too, if anything did")
     log, damaged = source.passing_log()
     if damaged:
-        found.notes.append(f"{damaged} chunks of messages of other topics are gone")
+        found.notes.append(f"{damaged} chunks or attachments of the rest of the log are gone")
     if not found.scans and not found.complete:
         raise ArchiveError(f"{path}: no scan of it is whole")
     # Without its inputs no run takes it for an archive that is finished.

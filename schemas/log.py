@@ -39,6 +39,28 @@ class LogMessage:
     at: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True)
+class LogAttachment:
+    """A file that somebody put into a log; times in nanoseconds."""
+
+    log_time: int
+    create_time: int
+    name: str
+    media_type: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class LogMetadata:
+    """Facts that somebody put into a log, under a name that need not be the only one of its kind."""
+
+    name: str
+    facts: tuple[tuple[str, str], ...]
+
+
+Enclosed = LogAttachment | LogMetadata
+
+
 class Log(Protocol):
     """A log that can be read more than once; every failure is a SourceError that names the file."""
 
@@ -50,4 +72,8 @@ class Log(Protocol):
 
     def message(self, topic: str, time: int, at: tuple[int, ...]) -> LogMessage:
         """Read the message of a topic at a place that :meth:`messages` told."""
+        ...
+
+    def enclosed(self) -> Iterator[Enclosed]:
+        """Yield what the log holds besides messages, in the order of the file."""
         ...

@@ -12,7 +12,10 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
-from mcap.records import Chunk
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Chunk, Metadata
+
+from salpcc.schemas.log import Enclosed, LogAttachment, LogMetadata
 
 MAX_RECORD = 1 << 28  # bytes of a record, of a chunk compressed or not: two point clouds of the largest kind
 _PIECE = 1 << 20
@@ -71,11 +74,39 @@ def read_chunk(file: BinaryIO, at: int, length: int) -> bytes:
     if length > MAX_RECORD:
         raise ValueError(f"the chunk at byte {at} has {length} bytes, more than {MAX_RECORD} are not read")
     file.seek(at)
-    chunk = Chunk.read(stream(file.read(length)))
+    return open_chunk(file.read(length), at)
+
+
+def open_chunk(content: bytes, at: int) -> bytes:
+    """Decompress and check the records of a chunk that is in hand; see :func:`read_chunk`."""
+    chunk = Chunk.read(stream(content))
     data = decompress(chunk.compression, bytes(chunk.data), chunk.uncompressed_size)
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError(f"the chunk at byte {at} is damaged (CRC differs)")
     return data
+
+
+def read_enclosed(opcode: int, content: bytes) -> Enclosed:
+    """Read an Attachment or Metadata record.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    if opcode == Opcode.METADATA:
+        metadata = Metadata.read(stream(content))
+        return LogMetadata(metadata.name, tuple(metadata.metadata.items()))
+    (crc,) = struct.unpack("<I", content[-4:])
+    if crc and zlib.crc32(content[:-4]) != crc:
+        raise ValueError("an attachment is damaged (CRC differs)")
+    found = Attachment.read(stream(content))
+    return LogAttachment(found.log_time, found.create_time, found.name, found.media_type, bytes(found.data))
+
+
+def enclosed_record(found: Enclosed) -> Attachment | Metadata:
+    """Return the record of what a log encloses; inverse of :func:`read_enclosed`."""
+    if isinstance(found, LogMetadata):
+        return Metadata(found.name, dict(found.facts))
+    return Attachment(found.create_time, found.log_time, found.name, found.media_type, found.data)
 
 
 def decompress(compression: str, data: bytes, size: int) -> bytes:

@@ -5,6 +5,7 @@ Here: what an archive holds. ``archive_writer`` and ``archive_reader`` are each 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,3 +60,18 @@ class ArchiveFacts:
 def sequence_number(name: str, place: int) -> int:
     """The ``sequence`` of a scan's message: its name where that is a number, else ``place``, the messages before it."""
     return int(name) % 2**32 if name.isascii() and name.isdigit() else place
+
+
+def entry_of(row: list[Any]) -> ScanEntry:
+    """Read a row of the index, which nobody vouches for."""
+    name, *counts = row
+    if not all(isinstance(n, int) and n >= 0 for n in counts):
+        raise ValueError("a row of the index is not a name and counts")
+    return ScanEntry(file_name(name), *counts)
+
+
+def file_name(name: object) -> str:
+    """Refuse a name that could lead out of the folder that a user decodes to."""
+    if not isinstance(name, str) or name in ("", ".", "..") or re.search(r"[/\\\x00]", name):
+        raise ValueError(f"{name!r} cannot name a file")
+    return name

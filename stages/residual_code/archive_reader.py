@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import re
 import struct
 import zlib
 from collections.abc import Iterator
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +26,24 @@ from mcap.records import (
 
 from salpcc.schemas.errors import ArchiveError, SalpccError
 from salpcc.schemas.files import location, read_at, reading, why
-from salpcc.schemas.log import LogChannel, LogMessage
-from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records
+from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
+from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records, stream
 from salpcc.schemas.messages import CloudMessage
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.residual_code.archive import ARCHIVE_VERSION, MAGIC, ArchiveFacts, ScanEntry, ScanPayload
-from salpcc.stages.residual_code.passing import passing_channel, passing_messages
+from salpcc.stages.residual_code.archive import (
+    ARCHIVE_VERSION,
+    MAGIC,
+    ArchiveFacts,
+    ScanPayload,
+    entry_of,
+    file_name,
+)
+from salpcc.stages.residual_code.passing import (
+    ENCLOSED,
+    passing_channel,
+    passing_messages,
+    read_passing_enclosed,
+)
 
 _FOOTER_BYTES = 9 + 20
 
@@ -79,7 +89,8 @@ class ArchiveReader:
             chunk = Chunk.read(self._record(self._chunks[gop].chunk_start_offset, Opcode.CHUNK))
             if chunk.compression or zlib.crc32(chunk.data) != chunk.uncompressed_crc:
                 raise ArchiveError(f"{where}: CRC mismatch, the file is damaged")
-            messages = list(_messages(chunk.data))
+            found = [content for opcode, _, content in records(chunk.data) if opcode == Opcode.MESSAGE]
+            messages = [Message.read(stream(content), len(content)) for content in found]
             if len(messages) != len(entries):
                 raise ArchiveError(f"{where}: {len(messages)} messages for {len(entries)} scans")
             clouds = [(m, CloudMessage.from_cdr(m.data, compressed=True)) for m in messages]
@@ -104,10 +115,24 @@ class ArchiveReader:
             except PARSE_ERRORS as error:
                 raise ArchiveError(f"{self.path}: chunk at {chunk.chunk_start_offset}: {error}") from error
 
+    def enclosed(self) -> Iterator[Enclosed]:
+        """Yield the attachments and metadata of the log, in its order.
+
+        Raises:
+            ArchiveError: one of them is damaged.
+        """
+        for at in self._enclosed:
+            opcode = Opcode.METADATA if isinstance(at, MetadataIndex) else Opcode.ATTACHMENT
+            try:
+                yield read_passing_enclosed(opcode, self._record_bytes(at.offset, opcode))
+            except PARSE_ERRORS as error:
+                raise ArchiveError(f"{self.path}: {at.name}: {error}") from error
+
     @property
     def passing_bytes(self) -> int:
-        """Bytes of the file that hold messages that passed through."""
-        return sum(chunk.chunk_length + chunk.message_index_length for chunk in self._passing)
+        """Bytes of the file that hold what passed through."""
+        chunks = sum(chunk.chunk_length + chunk.message_index_length for chunk in self._passing)
+        return chunks + sum(at.length for at in self._enclosed)
 
     @property
     def container_bytes(self) -> int:
@@ -123,9 +148,9 @@ class ArchiveReader:
         """
         crc = 0
         left = self._data_end
-        with reading(self.path) as stream:
+        with reading(self.path) as file:
             while left > 0:
-                block = stream.read(min(left, 1 << 20))
+                block = file.read(min(left, 1 << 20))
                 if not block:
                     raise ArchiveError(f"{self.path}: ends early")
                 crc = zlib.crc32(block, crc)
@@ -149,28 +174,33 @@ class ArchiveReader:
         chunks: list[ChunkIndex] = []
         attachments: dict[str, AttachmentIndex] = {}
         metadata: dict[str, MetadataIndex] = {}
+        enclosed: list[AttachmentIndex | MetadataIndex] = []
         schemas: dict[int, Schema] = {}
         self.log: dict[int, LogChannel] = {}
         for opcode, _, content in records(summary):
-            stream = ReadDataStream(BytesIO(content))
+            record = stream(content)
             if opcode == Opcode.CHUNK_INDEX:
-                chunks.append(ChunkIndex.read(stream))
+                chunks.append(ChunkIndex.read(record))
             elif opcode == Opcode.ATTACHMENT_INDEX:
-                attachment = AttachmentIndex.read(stream)
+                attachment = AttachmentIndex.read(record)
                 attachments[attachment.name] = attachment
+                enclosed.append(attachment)
             elif opcode == Opcode.METADATA_INDEX:
-                entry = MetadataIndex.read(stream)
+                entry = MetadataIndex.read(record)
                 metadata[entry.name] = entry
+                enclosed.append(entry)
             elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
+                schema = Schema.read(record)
                 schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream)
+                channel = Channel.read(record)
                 if channel.id > 1:
                     passing = passing_channel(channel, schemas.get(channel.schema_id))
                     self.log[passing.id] = passing
         if "salpcc" not in metadata:
             raise ArchiveError(f"{self.path}: an MCAP file, but not an archive of salpcc-pipeline")
+        of_log = (at for at in enclosed if at.name.startswith(ENCLOSED))
+        self._enclosed = sorted(of_log, key=lambda at: at.offset)
         self._data_end = footer.summary_start - 9 - 4
         self.facts = self._facts(metadata["salpcc"], attachments)
         index = json.loads(self._attachment(attachments["index.json"]))
@@ -201,10 +231,10 @@ class ArchiveReader:
         raw = self._record_bytes(at.offset, Opcode.ATTACHMENT)
         if zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
             raise ArchiveError(f"{self.path}: CRC of {at.name} does not match, the file is damaged")
-        return bytes(Attachment.read(ReadDataStream(BytesIO(raw))).data)
+        return bytes(Attachment.read(stream(raw)).data)
 
     def _record(self, at: int, opcode: Opcode) -> ReadDataStream:
-        return ReadDataStream(BytesIO(self._record_bytes(at, opcode)))
+        return stream(self._record_bytes(at, opcode))
 
     def _record_bytes(self, at: int, opcode: Opcode) -> bytes:
         found, length = struct.unpack("<BQ", self._bytes(at, 9))
@@ -218,23 +248,3 @@ class ArchiveReader:
                 f"{self.path}: truncated or damaged, wants bytes {at} to {at + length} of {self.size}"
             )
         return read_at(self.path, at, length)
-
-
-def entry_of(row: list[Any]) -> ScanEntry:
-    name, *counts = row
-    if not all(isinstance(n, int) and n >= 0 for n in counts):
-        raise ValueError("a row of the index is not a name and counts")
-    return ScanEntry(file_name(name), *counts)
-
-
-def file_name(name: object) -> str:
-    """Refuse a name that could lead out of the folder that a user decodes to."""
-    if not isinstance(name, str) or name in ("", ".", "..") or re.search(r"[/\\\x00]", name):
-        raise ValueError(f"{name!r} cannot name a file")
-    return name
-
-
-def _messages(data: bytes) -> Iterator[Message]:
-    for opcode, _, content in records(data):
-        if opcode == Opcode.MESSAGE:
-            yield Message.read(ReadDataStream(BytesIO(content)), len(content))

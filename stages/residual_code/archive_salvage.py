@@ -24,10 +24,11 @@ from salpcc.stages.residual_code.archive import (
     ArchiveFacts,
     ScanEntry,
     ScanPayload,
+    entry_of,
+    file_name,
     sequence_number,
 )
 from salpcc.stages.residual_code.archive_carve import BROKEN, RECORD_HEAD, Place, attachments, chunks, clouds
-from salpcc.stages.residual_code.archive_reader import entry_of, file_name
 from salpcc.stages.residual_code.archive_writer import message_of
 from salpcc.stages.residual_code.passing import PassingLog
 from salpcc.stages.residual_code.passing_salvage import passing_log

@@ -37,7 +37,7 @@ from mcap.records import (
 
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, GROUPS
-from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.messages import COMPRESSED, SCHEMA_TEXT, CloudMessage
 from salpcc.stages.residual_code.archive import (
     ARCHIVE_VERSION,
@@ -48,7 +48,7 @@ from salpcc.stages.residual_code.archive import (
     ScanPayload,
     sequence_number,
 )
-from salpcc.stages.residual_code.passing import PassingLog, passing_chunk, passing_records
+from salpcc.stages.residual_code.passing import PassingLog, passing_chunk, passing_enclosed, passing_records
 
 
 def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION) -> Message:
@@ -98,8 +98,7 @@ class ArchiveWriter:
             "source": facts.source,
             "inputs": facts.inputs,
         }
-        start, length = self._record(Metadata("salpcc", described))
-        self._metadata.append(MetadataIndex(start, length, "salpcc"))
+        self._enclose(Metadata("salpcc", described))
         self._attach("sensor.json", json.loads(facts.sensor.to_json()))
         self._attach("config.json", facts.config)
         classes = [{"name": c.name, "group": GROUPS[c.group], "colour": list(c.colour)} for c in CLASSES]
@@ -151,9 +150,11 @@ class ArchiveWriter:
             )
         )
 
-    def finish(self) -> None:
-        """Write the index and the summary."""
+    def finish(self, enclosed: Iterable[Enclosed] = ()) -> None:
+        """Write the index, what the log encloses, and the summary."""
         self._attach("index.json", self._index)
+        for found in enclosed:
+            self._enclose(passing_enclosed(found))
         self._record(DataEnd(self._crc))
         self._write_summary()
         self._stream.write(MAGIC)
@@ -198,8 +199,16 @@ class ArchiveWriter:
 
     def _attach(self, name: str, content: Any) -> None:
         data = json.dumps(content, sort_keys=True, separators=(",", ":")).encode()
-        start, length = self._record(Attachment(0, 0, name, "application/json", data))
-        self._attachments.append(AttachmentIndex(start, length, 0, 0, len(data), name, "application/json"))
+        self._enclose(Attachment(0, 0, name, "application/json", data))
+
+    def _enclose(self, record: Attachment | Metadata) -> None:
+        start, length = self._record(record)
+        if isinstance(record, Metadata):
+            self._metadata.append(MetadataIndex(start, length, record.name))
+            return
+        times = record.log_time, record.create_time
+        index = AttachmentIndex(start, length, *times, len(record.data), record.name, record.media_type)
+        self._attachments.append(index)
 
     def _record(self, record: McapRecord) -> tuple[int, int]:
         builder = RecordBuilder()
@@ -227,4 +236,4 @@ def write_archive(
             writer.add_gop(payloads)
         for messages in log.until(None) if log else ():
             writer.pass_messages(messages)
-        writer.finish()
+        writer.finish(log.enclosed if log else ())

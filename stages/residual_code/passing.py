@@ -1,29 +1,38 @@
 """What passes through an archive untouched: the messages of a log that are no point clouds of ours.
 
 They keep channel, times, number and bytes. Their channels have the ids of the log plus one, for the coded
-scans are channel 1.
+scans are channel 1. What the log encloses (attachments, metadata) passes through with a prefix to its name.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, MessageIndex, Schema
+from mcap.records import Attachment, Channel, Chunk, Message, MessageIndex, Metadata, Schema
 
-from salpcc.schemas.log import LogChannel, LogMessage
-from salpcc.schemas.mcap_chunks import compress, records, stream
+from salpcc.schemas.log import Enclosed, LogChannel, LogMessage, LogMetadata
+from salpcc.schemas.mcap_chunks import compress, enclosed_record, read_enclosed, records, stream
 
+ENCLOSED = "log:"  # before the names of what a log encloses, so that they are none of an archive's own
+_CHECK = "log:crc"
 _CHUNK_BYTES = 1 << 22  # before compression; a larger message has a chunk of its own
 
 
 class PassingLog:
-    """The channels of a log, and its messages that pass through, handed out in chunks as time goes on."""
+    """The channels of a log, its messages that pass through, handed out in chunks as time goes on, and what it encloses."""
 
-    def __init__(self, channels: Iterable[LogChannel], messages: Iterator[LogMessage]) -> None:
+    def __init__(
+        self,
+        channels: Iterable[LogChannel],
+        messages: Iterator[LogMessage],
+        enclosed: Iterable[Enclosed] = (),
+    ) -> None:
         self.channels = tuple(channels)
+        self.enclosed = enclosed
         self._messages = messages
         self._next = next(messages, None)
 
@@ -57,6 +66,39 @@ def passing_channel(channel: Channel, schema: Schema | None) -> LogChannel:
     metadata = tuple(sorted(channel.metadata.items()))
     kind = (schema.name, schema.encoding, bytes(schema.data)) if schema else ("", "", b"")
     return LogChannel(channel.id - 1, channel.topic, channel.message_encoding, *kind, metadata)
+
+
+def passing_enclosed(found: Enclosed) -> Attachment | Metadata:
+    """Return the record of what a log encloses; metadata get a checksum, which the format gives to attachments only."""
+    record = enclosed_record(replace(found, name=ENCLOSED + found.name))
+    if isinstance(record, Metadata):
+        key = _CHECK
+        while key in record.metadata:
+            key += "_"
+        record.metadata[key] = _checksum(found)
+    return record
+
+
+def read_passing_enclosed(opcode: int, content: bytes) -> Enclosed:
+    """Read such a record; inverse of :func:`passing_enclosed`.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    found = read_enclosed(opcode, content)
+    found = replace(found, name=found.name.removeprefix(ENCLOSED))
+    if isinstance(found, LogMetadata):
+        *facts, (_, checksum) = found.facts
+        found = replace(found, facts=tuple(facts))
+        if checksum != _checksum(found):
+            raise ValueError("the metadata are damaged (CRC differs)")
+    return found
+
+
+def _checksum(found: Enclosed) -> str:
+    builder = RecordBuilder()
+    enclosed_record(found).write(builder)
+    return f"{zlib.crc32(builder.end()):08x}"
 
 
 def passing_chunk(messages: Iterable[LogMessage]) -> tuple[Chunk, list[MessageIndex]]:

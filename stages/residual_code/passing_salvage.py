@@ -13,26 +13,48 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, decompress, records, stream
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.passing import PassingLog, passing_channel, passing_messages
+from salpcc.stages.residual_code.passing import (
+    PassingLog,
+    passing_channel,
+    passing_messages,
+    read_passing_enclosed,
+)
 
 # A chunk: length below 2^40, times, size and CRC, the name of its compression, length below 2^40.
 _CHUNK = re.compile(rb"\x06(?=.{5}\0\0\0.{28}\x04\0\0\0zstd.{5}\0\0\0)", re.DOTALL)
+# An attachment or metadata of the log: length below 2^40, of an attachment its times, length of the name, its prefix.
+_ENCLOSED = re.compile(rb"\x09(?=.{5}\0\0\0.{16}.{3}\0log:)|\x0c(?=.{5}\0\0\0.{3}\0log:)", re.DOTALL)
 _HEAD = 9 + 44
 _MOST = 1 << 20  # bytes before the first GOP that channels are looked for in
 
 
 def passing_log(data: mmap.mmap, path: Path) -> tuple[PassingLog | None, int]:
-    """Return what passes through, None where nothing did, and how many of its chunks are damaged."""
+    """Return what passes through, None where nothing did, and how many pieces of it are damaged."""
     channels = _channels(data, path)
     whole = [at for at in _chunks(data) if _messages(data, at, channels) is not None]
     damaged = sum(1 for _ in _chunks(data)) - len(whole)
     if not channels:
         return None, damaged
     found = (message for at in whole for message in _messages(data, at, channels) or ())
-    return PassingLog(channels.values(), found), damaged
+    enclosed, broken = _enclosed(data)
+    return PassingLog(channels.values(), found, enclosed), damaged + broken
+
+
+def _enclosed(data: mmap.mmap) -> tuple[list[Enclosed], int]:
+    """What the log enclosed and is whole, and how much is not."""
+    found: list[Enclosed] = []
+    broken = 0
+    for match in _ENCLOSED.finditer(data):
+        at = match.start()
+        opcode, length = struct.unpack("<BQ", data[at : at + 9])
+        try:
+            found.append(read_passing_enclosed(opcode, data[at + 9 : at + 9 + length]))
+        except PARSE_ERRORS:
+            broken += 1
+    return found, broken
 
 
 def _chunks(data: mmap.mmap) -> Iterator[int]:

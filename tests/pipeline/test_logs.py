@@ -16,8 +16,10 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
+from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, digests
+from salpcc.pipeline.cli import app
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.verify import verify
@@ -146,7 +148,11 @@ def write_logs(folder: Path, clouds: dict[str, list[dict[str, object]]]) -> dict
             mcap.add_message(channels[topic], time, data, time - 5, 7)
         note = mcap.register_channel("/notes", "json", 0, {"by": "me"})
         mcap.add_message(note, START + 1, b'{"n": 1}', START, 3)
-        mcap.add_attachment(0, 0, "a.txt", "text/plain", b"attached")
+        # Names that an archive uses itself, twice the same name, a record that stands behind all chunks.
+        mcap.add_attachment(5, START, "config.json", "text/plain", b"attached")
+        mcap.add_metadata("salpcc", {"archive_version": "9", "b": "", "a": "é"})
+        mcap.add_attachment(0, 0, "config.json", "", b"")
+        mcap.add_metadata("calibration", {"log:crc": "0"})
         mcap.finish()
     recorded["bare"] = sorted([*recorded["mcap"], ("/notes", START + 1, b'{"n": 1}')])
     return recorded
@@ -239,6 +245,54 @@ def test_publish_times_numbers_and_channels_of_mcap_come_back(
     assert found[0] == found[1]
 
 
+def enclosed(path: Path) -> list[object]:
+    """Attachments and metadata of an MCAP file as mcap's own reader tells them."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        return [*reader.iter_attachments(), *reader.iter_metadata()]
+
+
+def test_attachments_and_metadata_come_back(logs: Path, coded: Path, tmp_path: Path) -> None:
+    archive = Archive.open(coded / "archives" / "bare.mcap")
+    (path,) = EXPORTS["mcap"](archive, iter(archive), tmp_path)
+    assert enclosed(path) == enclosed(logs / "bare.mcap") and len(enclosed(path)) == 4
+    assert archive.config["gop"] == 2 and archive.sequence == "bare"  # not theirs
+    told = enclosed(coded / "archives" / "bare.mcap")  # other tools find them in the archive, too
+    assert [one.name for one in told if one.name.startswith("log:")] == [  # type: ignore[attr-defined]
+        *["log:config.json"] * 2, "log:salpcc", "log:calibration"
+    ]  # fmt: skip
+
+
+def test_what_of_an_mcap_file_does_not_come_back(logs: Path, coded: Path, tmp_path: Path) -> None:
+    """As ``to_mcap`` says: chunks, their compression and the library in the header are the writer's own."""
+    archive = Archive.open(coded / "archives" / "bare.mcap")
+    (path,) = EXPORTS["mcap"](archive, iter(archive), tmp_path)
+    heads, summaries = [], []
+    for file in (logs / "bare.mcap", path):
+        with file.open("rb") as stream:
+            reader = make_reader(stream)
+            heads.append(reader.get_header())
+            summaries.append(reader.get_summary())
+    assert heads[0].profile == heads[1].profile == "ros2"
+    assert (heads[0].library, heads[1].library) == ("test", "salpcc-pipeline")
+    told = [
+        (s.statistics.message_count, s.statistics.attachment_count, s.statistics.metadata_count)
+        for s in summaries
+    ]
+    assert told[0] == told[1]
+
+
+def test_decoding_says_what_ros2_cannot_hold(coded: Path, tmp_path: Path) -> None:
+    said = {}
+    for name, to in (("ros1", "mcap"), ("ros1", "bag"), ("sqlite", "mcap")):
+        archive = str(coded / "archives" / f"{name}.mcap")
+        done = CliRunner().invoke(app, ["decode", archive, "--to", to, "--out", str(tmp_path)])
+        assert done.exit_code == 0
+        said[name, to] = done.stderr
+    assert said["ros1", "mcap"].count("header.seq") == 1
+    assert said["ros1", "bag"] == said["sqlite", "mcap"] == ""
+
+
 @pytest.mark.parametrize("name", ["ros1", "sqlite"])
 def test_what_others_read_is_a_ros2_bag(
     name: str, coded: Path, recorded: dict[str, Recorded], tmp_path: Path
@@ -285,23 +339,28 @@ def test_a_second_run_reads_no_log_for_its_digest(
         assert read == [logs / "bare.mcap", logs / "sqlite"]
 
 
-def test_verify_finds_another_message(logs: Path, coded: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (b"text 1 2", "topic /texts: 1 messages are not those of the log"),
+        (b"text 1 1", "attachments or metadata are not those of the log"),
+    ],
+)
+def test_verify_finds_what_is_another(
+    text: bytes, problem: str, logs: Path, coded: Path, tmp_path: Path
+) -> None:
+    """The log again without what it encloses, and with another text."""
     other = tmp_path / "bare.mcap"
-    shutil.copy(logs / "bare.mcap", other)
-    data = bytearray(other.read_bytes())
-    with other.open("wb") as stream:
+    with (logs / "bare.mcap").open("rb") as source, other.open("wb") as stream:
         mcap = McapWriter(stream)
         mcap.start("ros2", "test")
-        with (logs / "bare.mcap").open("rb") as source:
-            for schema, channel, message in make_reader(source).iter_messages():
-                number = mcap.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
-                told = mcap.register_channel(
-                    channel.topic, channel.message_encoding, number, channel.metadata
-                )
-                raw = message.data.replace(b"text 1 1", b"text 1 2")
-                mcap.add_message(told, message.log_time, raw, message.publish_time, message.sequence)
+        for schema, channel, message in make_reader(source).iter_messages():
+            number = mcap.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+            told = mcap.register_channel(channel.topic, channel.message_encoding, number, channel.metadata)
+            raw = message.data.replace(b"text 1 1", text)
+            mcap.add_message(told, message.log_time, raw, message.publish_time, message.sequence)
         mcap.finish()
-    assert len(data) and not verify(coded / "archives" / "bare.mcap", other).good
+    assert verify(coded / "archives" / "bare.mcap", other).problems[0] == problem
 
 
 def test_a_bound_holds_and_the_topics_asked_for_are_coded(

@@ -14,7 +14,7 @@ from salpcc.pipeline.cli import app
 from salpcc.pipeline.recover import Recovery, recover
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import ArchiveError, UsageError
-from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
@@ -202,7 +202,12 @@ def test_other_topics_of_a_log_come_along(whole: Path, bad: Path) -> None:
     channel = LogChannel(1, "/imu", "cdr", "sensor_msgs/msg/Imu", "ros2msg", b"text", (("a", "b"),))
     times = [payload.time for gop in range(3) for payload in reader.payloads(gop)]
     messages = [LogMessage(1, time + 5, time, n, b"imu" * 20 + bytes([n])) for n, time in enumerate(times)]
-    log = PassingLog([channel], iter(messages))
+    enclosed = [
+        LogAttachment(1, 2, "index.json", "text/plain", b"[]"),
+        LogMetadata("salpcc", (("archive_version", "9"), ("a", "b"))),
+        LogMetadata("empty", ()),
+    ]
+    log = PassingLog([channel], iter(messages), enclosed)
     bad.parent.mkdir()
     write_archive(bad, reader.facts, [reader.payloads(gop) for gop in range(3)], log)
     data = bad.read_bytes()
@@ -211,10 +216,20 @@ def test_other_topics_of_a_log_come_along(whole: Path, bad: Path) -> None:
     chunks = [at for at in starts(data, 0x06) if data[at + 37 : at + 45] == b"\4\0\0\0zstd"]
     assert len(chunks) == 4
     found = rescue(bad, flipped(data, 8 * (chunks[1] + 70)))
-    assert found.notes == ["1 chunks of messages of other topics are gone"] and found.scans == 5
-    came = list(ArchiveReader(bad.with_name("new.mcap")).passing())
+    assert found.notes == ["1 chunks or attachments of the rest of the log are gone"] and found.scans == 5
+    new = ArchiveReader(bad.with_name("new.mcap"))
+    assert list(new.enclosed()) == enclosed
+    came = list(new.passing())
     assert [message.sequence for message in came] == [0, 3, 4]
     assert all(replace(message, at=()) == messages[message.sequence] for message in came)
+    for name, left in (
+        (b"text/plain", enclosed[1:]),
+        (b"archive_version\x01\0\0\x009", [enclosed[0], enclosed[2]]),
+    ):
+        bad.with_name("new.mcap").unlink()
+        broken = data[: data.index(name)] + bytes([name[0] ^ 1]) + data[data.index(name) + 1 :]
+        assert not rescue(bad, broken[: data.rindex(b"\x0f" + struct.pack("<Q", 4))]).complete
+        assert list(ArchiveReader(bad.with_name("new.mcap")).enclosed()) == left
 
 
 def test_command_line(data: bytes, bad: Path, tmp_path: Path) -> None:

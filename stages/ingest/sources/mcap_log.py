@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,13 +19,15 @@ from mcap.records import Channel, Message, Schema, Statistics
 
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.files import reading, why
-from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.marks import mark
 from salpcc.schemas.mcap_chunks import (
     HEAD,
     MAX_RECORD,
     PARSE_ERRORS,
+    open_chunk,
     read_chunk,
+    read_enclosed,
     records,
     stream,
     top_records,
@@ -32,6 +35,7 @@ from salpcc.schemas.mcap_chunks import (
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<BQQQI")
+_ENCLOSED = (Opcode.ATTACHMENT, Opcode.METADATA)
 _OF_DATA = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
 
@@ -103,33 +107,51 @@ class McapLog:
         except PARSE_ERRORS as error:
             raise SourceError(f"{path}: {topic} at {time}: damaged ({error})") from error
 
+    def enclosed(self) -> Iterator[Enclosed]:
+        """Yield attachments and metadata in the order of the files."""
+        for number in range(len(self.files)):
+            for opcode, _, content in self._top(number, _ENCLOSED):
+                with self._failing(number):
+                    yield read_enclosed(opcode, content)
+
     def _walk(self, number: int, wanted: set[int]) -> Iterator[LogMessage]:
         """Go through a file and yield its messages of the channels wanted."""
+        for opcode, at, content in self._top(number, _OF_DATA):
+            with self._failing(number):
+                if opcode != Opcode.CHUNK:
+                    yield from self._record(number, opcode, content, (number, at, -1), wanted)
+                    continue
+                for inner, within, record in records(open_chunk(content, at)):
+                    yield from self._record(number, inner, record, (number, at, within), wanted)
+
+    def _top(self, number: int, wanted: tuple[Opcode, ...]) -> Iterator[tuple[int, int, bytes]]:
+        """Yield opcode, place and content of the records of some kinds that stand outside of chunks."""
         path = self.files[number]
+        with self._failing(number), reading(path) as file:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise ValueError("not an MCAP file")
+            for opcode, at, length in top_records(file, path.stat().st_size, len(_MAGIC)):
+                if opcode == Opcode.DATA_END:
+                    return
+                if opcode not in wanted:
+                    continue
+                if length > MAX_RECORD:
+                    raise ValueError(
+                        f"the record at byte {at} has {length} bytes, more than {MAX_RECORD} are not read"
+                    )
+                file.seek(at)
+                yield opcode, at, file.read(length)
+            raise ValueError("ends early: no end of its data; `mcap recover` mends it")
+
+    @contextmanager
+    def _failing(self, number: int) -> Iterator[None]:
+        """Turn what a file raises into one error that names it."""
         try:
-            size = path.stat().st_size
-            with reading(path) as file:
-                if file.read(len(_MAGIC)) != _MAGIC:
-                    raise SourceError(f"{path}: not an MCAP file")
-                ended = False
-                for opcode, at, length in top_records(file, size, len(_MAGIC)):
-                    ended = ended or opcode == Opcode.DATA_END
-                    if ended or opcode not in _OF_DATA:
-                        continue
-                    if opcode == Opcode.CHUNK:
-                        for inner, within, content in records(read_chunk(file, at, length)):
-                            yield from self._record(number, inner, content, (number, at, within), wanted)
-                        continue
-                    if length > MAX_RECORD:
-                        raise ValueError(f"the record at byte {at} has {length} bytes")
-                    file.seek(at)
-                    yield from self._record(number, opcode, file.read(length), (number, at, -1), wanted)
-                if not ended:
-                    raise ValueError("ends early: no end of its data; `mcap recover` mends it")
+            yield
         except OSError as error:
-            raise SourceError(f"{path}: {why(error)}") from error
+            raise SourceError(f"{self.files[number]}: {why(error)}") from error
         except PARSE_ERRORS as error:
-            raise SourceError(f"{path}: {error}") from error
+            raise SourceError(f"{self.files[number]}: {error}") from error
 
     def _record(
         self, number: int, opcode: int, content: bytes, at: tuple[int, ...], wanted: set[int]

@@ -18,7 +18,7 @@ from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
 
 from salpcc.schemas.errors import SourceError
-from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import MAX_RECORD
 
 _SCHEMA_ENCODINGS = {
@@ -67,6 +67,10 @@ class RosLog:
             if (place,) == at:
                 return LogMessage(number, found, found, 0, data, at)
         raise SourceError(f"{self.path}: {topic} has no message at {time} any more")
+
+    def enclosed(self) -> Iterator[Enclosed]:
+        """Yield nothing: bags have no attachments."""
+        return iter(())
 
     def _read(self, connections: list[Connection], *window: int) -> Iterator[tuple[int, str, int, bytes]]:
         if not connections:
