@@ -14,11 +14,14 @@ from salpcc.pipeline import Archive, Scan, encode_scans
 from salpcc.pipeline.recover import recover
 from salpcc.pipeline.store import ShardStore, read_shard
 from salpcc.schemas.errors import SalpccError
+from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
 from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps
 from salpcc.schemas.work import ShardRef
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sweep import scan_to_sweep
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.passing import PassingLog
 
 SENSOR = load_sensor("hdl64e")
 
@@ -30,7 +33,13 @@ def _scans() -> list[Scan]:
 def _archives(folder: Path) -> list[bytes]:
     scans = [Scan(f"{n:06d}", s.points, s.intensity, 10**8 * n) for n, s in enumerate(_scans())]
     encode_scans(scans, folder / "a.mcap", gop=2, effort="fast", keep_movable=True)
-    return [(folder / "a.mcap").read_bytes()]
+    reader = ArchiveReader(folder / "a.mcap")
+    enclosed = LogAttachment(1, 2, "index.json", "text/plain", b"[]"), LogMetadata("salpcc", (("a", "b"),))
+    channel = LogChannel(1, "/texts", "json", "", "", b"")
+    log = PassingLog([channel], iter([LogMessage(1, 5, 5, 0, b"{}")]), enclosed)
+    gops = [reader.payloads(gop) for gop in range(len(reader.gops))]
+    write_archive(folder / "b.mcap", reader.facts, gops, log)
+    return [(folder / name).read_bytes() for name in ("a.mcap", "b.mcap")]
 
 
 _wanted = {s.points.tobytes() for s in _scans()}
@@ -47,6 +56,8 @@ def _read_archive(_: int, data: bytes, folder: Path) -> None:
     except SalpccError:
         whole = False
     with Archive.open(path) as archive:
+        for _ in (*archive.passing(), *archive.enclosed()):
+            pass
         for scan in archive:
             if "/" in scan.name or "\\" in scan.name or scan.name in ("", ".", ".."):
                 raise Wrong(f"the name {scan.name!r}")

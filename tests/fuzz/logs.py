@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from target import Target
 
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, XYZI, CloudMessage
-from salpcc.stages.ingest.sources.bag import Bag
+from salpcc.stages.ingest.sources.bag import Bag, open_log
 
 _ROWS = np.random.default_rng(0).normal(0, 20, (40, 4)).astype("<f4")
 
@@ -35,6 +35,8 @@ def _mcaps(folder: Path) -> list[bytes]:
             )
             for time, data in _messages():
                 writer.add_message(channel, time, data, time)
+            writer.add_attachment(1, 2, "a.txt", "text/plain", b"attached")
+            writer.add_metadata("facts", {"a": "b"})
             writer.finish()
         found.append((folder / "whole.mcap").read_bytes())
     (folder / "whole.mcap").unlink()
@@ -83,6 +85,8 @@ def _all_scans(root: Path) -> None:
 def _read_mcap(_: int, data: bytes, folder: Path) -> None:
     (folder / "log.mcap").write_bytes(data)
     _all_scans(folder)
+    for _ in open_log(folder / "log.mcap").enclosed():
+        pass
 
 
 def _read_bag(_: int, data: bytes, folder: Path) -> None:

@@ -5,19 +5,25 @@ import logging
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 from moto.server import ThreadedMotoServer
+from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, tasks
-from salpcc.pipeline.cli import main
+from salpcc.pipeline.cli import app, main
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph import GraphOptions
-from salpcc.pipeline.run import RunResult
+from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.verify import verify
-from salpcc.schemas.errors import SalpccError
-from salpcc.schemas.files import location
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import SalpccError, SourceError
+from salpcc.schemas.files import atomic, location
+from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
+from salpcc.stages.ingest.sources.bag import open_log
 
 Run = Callable[..., RunResult]
 KEEP = GraphOptions(keep_shards=True)
@@ -70,8 +76,8 @@ def fast(toy_root: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> 
 
 @pytest.fixture(scope="module")
 def there(store: Store) -> Path:
-    """Output of the command on the store, by two worker processes."""
-    options = ["--keep-movable", "--effort=fast", "--gop=2", "--workers=2", "--keep-shards"]
+    """Output of the command on the store, by a worker process."""
+    options = ["--keep-movable", "--effort=fast", "--gop=2", "--workers=1", "--keep-shards"]
     done = cli("run", "sequences", "00,01", "--root", f"{BUCKET}/kitti", "--out", f"{BUCKET}/out", *options)
     assert done.returncode == 0, done.stderr
     return location(f"{BUCKET}/out")
@@ -107,6 +113,55 @@ def test_archives_are_read_where_they_are(there: Path, toy_root: Path, tmp_path:
         for out in (tmp_path, there / "back"):
             for path in EXPORTS["kitti"](archive, iter(archive), out):
                 assert path.read_bytes() == (toy_root / "sequences/00/velodyne" / path.name).read_bytes()
+
+
+def test_other_commands_take_urls(there: Path, fast: Path) -> None:
+    (there / "report" / "index.html").unlink()
+    archive, new = there / "archives" / "01.mcap", there / "new.mcap"
+    for command in (
+        ["report", str(there)],
+        ["inspect", str(archive)],
+        ["recover", str(archive), "--out", str(new)],
+    ):
+        done = CliRunner().invoke(app, command)
+        assert done.exit_code == 0, done.output
+    assert (there / "report" / "index.html").is_file()
+    assert new.read_bytes() == archives(fast)["01.mcap"]
+
+
+def test_a_log_is_read_and_written_at_urls(store: Store, toy_root: Path) -> None:
+    points = (toy_root / "sequences/01/velodyne/000000.bin").read_bytes()
+    clouds = [CloudMessage(n, "lidar", len(points) // 16, points).to_cdr() for n in range(1, 4)]
+    source, out = location(f"{BUCKET}/logs/drive.mcap"), location(f"{BUCKET}/coded")
+    with atomic(source) as stream:
+        mcap = Writer(stream)
+        mcap.start("ros2", "test")
+        schema = mcap.register_schema(PLAIN, "ros2msg", SCHEMA_TEXT[PLAIN].encode())
+        channel = mcap.register_channel("/points", "cdr", schema, {"offered_qos_profiles": ""})
+        for time, cloud in enumerate(clouds):
+            mcap.add_message(channel, time, cloud, time)
+        mcap.finish()
+    config = RunConfig(source="bag", keep_movable=True, effort="fast")
+    assert not run_sequences(RunRequest(config, ["drive"], out, source, workers=0, quiet=True)).failed
+    assert verify(out / "archives" / "drive.mcap", source).bit_exact_scans == 3
+    with Archive.open(out / "archives" / "drive.mcap") as archive:
+        (path,) = EXPORTS["mcap"](archive, iter(archive), out)
+    back = open_log(location(str(path)))
+    assert [message.data for message in back.messages()] == clouds
+    (there := location(f"{BUCKET}/logs/drive.bag")).write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(SourceError, match="only MCAP is read from a URL"):
+        open_log(there)
+
+
+def test_an_open_archive_can_be_forked(there: Path) -> None:
+    with Archive.open(there / "archives" / "01.mcap") as archive:
+        points = archive[0].points
+        with get_context("fork").Pool(1) as pool:
+            assert (pool.apply_async(first_points, (archive,)).get(60) == points).all()
+
+
+def first_points(archive: Archive) -> object:
+    return archive[0].points
 
 
 def test_what_is_gone_is_made_again_and_nothing_else(

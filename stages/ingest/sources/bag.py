@@ -41,6 +41,7 @@ class Bag:
         """
         path = find_log(root, sequence)
         log = open_log(path)
+        _opened.cache_clear()  # whoever lists a log looks at it anew
         clouds = {channel.id: channel.topic for channel in log.channels.values() if channel.holds_clouds}
         there = sorted(set(clouds.values()))
         missing = [topic for topic in topics if topic not in there]

@@ -53,6 +53,7 @@ class McapLog:
         self._ids: list[dict[int, int]] = [{} for _ in files]  # of ours, by the file's own
         self._schemas: list[dict[int, Schema]] = [{} for _ in files]
         self._complete = False
+        _chunk.cache_clear()  # whoever opens a log looks at it anew
         for number in range(len(files)):
             if not self._read_summary(number):
                 for _ in self._walk(number, set()):

@@ -79,11 +79,11 @@ def list_scans(folder: Path, times: list[int] | None, labels: Path | None) -> li
     """
     files = sorted(folder.glob("*.bin"))
     numeric = all(re.fullmatch(r"\d+", f.stem) for f in files)
+    # One listing, for asking a store about each of them takes minutes.
+    labelled = {file.name: str(file) for file in labels.glob("*.label")} if labels is not None else {}
     refs = []
     for place, file in enumerate(files):
         number = int(file.stem) if numeric else place
         time = times[number] if times is not None and number < len(times) else number * NOMINAL_PERIOD_NS
-        label = labels / f"{file.stem}.label" if labels is not None else None
-        found = str(label) if label is not None and label.is_file() else None
-        refs.append(ScanRef(file.stem, number, str(file), time, found))
+        refs.append(ScanRef(file.stem, number, str(file), time, labelled.get(f"{file.stem}.label")))
     return sorted(refs, key=lambda ref: (ref.number, ref.name))
