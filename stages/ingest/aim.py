@@ -13,6 +13,9 @@ from salpcc.stages.ingest.lattice import laser_constants, model_point, project_p
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import turn_tables
 
+_SAMPLE = 2000  # points
+_UNROUNDED = 5e-5  # metres
+
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
@@ -58,3 +61,10 @@ def aim(sensor: SensorModel, points: F64, laser: I64 | None = None) -> tuple[I64
     chosen = np.full(len(points), -1) if laser is None else laser.copy()
     tick, count, off = _aim(sensor.parameters, sensor.count, sensor.ticks_per_turn, points, chosen)
     return chosen, tick, count, off
+
+
+def lies_on(sensor: SensorModel, points: NDArray[np.float32]) -> bool:
+    """Tell whether most returns of ``points (N, 3)`` lie on the lattice as computed from it, neither rounded nor moved."""
+    sample = points[:: len(points) // _SAMPLE + 1].astype(np.float64)
+    off = aim(sensor, sample[np.abs(sample).max(axis=1, initial=0.0) > 0])[3]
+    return len(off) > _SAMPLE // 10 and bool((off < _UNROUNDED).mean() > 0.5)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.ingest.aim import lies_on
 from salpcc.stages.ingest.lattice import unproject
 from salpcc.stages.ingest.list_motion import find_motion
 from salpcc.stages.ingest.measure import measure
@@ -107,6 +108,10 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     """
     points = np.ascontiguousarray(scan.points, dtype=np.float32)
     within = within_reach(points)
+    if lies_on(
+        sensor, points
+    ):  # not rounded to 1 mm: no returns of this lattice, but the coder of strays knows it
+        return _sweep(scan, None, *(np.zeros(0, np.int64) for _ in range(6)))
     locked, motion = _find_motion(points if within.all() else points[within], start)
     if not locked:
         return _all_strays(scan, sensor)

@@ -26,7 +26,7 @@ from salpcc.stages.residual_code.ray_forms import SPREADS, bucket_of, coordinate
 from salpcc.stages.residual_code.residual_bits import PER_CONTEXT, SIZES, code_bit, code_number, size_of
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
-PREDICTORS = 7
+PREDICTORS = 8
 MAX_LEVEL = (1 << 20) - 1
 NAN_BITS = 0x7FC00000
 _SIZES = SIZES // 2 + 1  # as contexts
@@ -90,6 +90,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
     per,
     exact,
     step,
+    reach,
     sensor,
     motion,
     models,
@@ -99,7 +100,8 @@ def code_aimed(  # type: ignore[no-untyped-def]
     """Write or read ``S`` points: ``points (S, 3)`` float32, kinds, lasers, ticks, levels ``(S,)``.
 
     Writing, all of them are given, and points are where they decode to. ``form`` is GRID or BITS, if ``exact``; ``step`` counts
-    make a level. ``sensor``: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks,
+    make a level. With a ``reach`` above 0, points are those to be coded, and a tick becomes the expected one where that leaves the point
+    within it: what is written then is no stream, but the ticks are easier. ``sensor``: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks,
     neighbours above and below. ``motion``: whether there is one, and its six numbers.
     """
     parameters, constants, sines, cosines, count_size, phase, above, below = sensor
@@ -108,10 +110,10 @@ def code_aimed(  # type: ignore[no-untyped-def]
     n, ticks, lasers = len(points), len(sines), len(parameters)
     slots = max(left, 1) if left > 0 else lasers
     firings = max((n + slots - 1) // slots, 1)
-    slot_laser, slot_tick, slot_cycle = np.full(slots, -1), np.zeros(slots, np.int64), np.full(slots, -1)
+    slot_laser, relative = np.full(slots, -1), np.zeros(slots, np.int64)
     slot_size = np.zeros(slots, np.int64)  # of the last miss of the tick
     hop = np.full((lasers, lasers), 1 << 30)
-    pace, advance, advance_from, advance_at, miss = 0, 0, -1, -1, 0
+    base, base_cycle, pace, miss = 0, -1, 0, 0  # of firings: tick, number, ticks from one to the next
     recent = -1
     links = np.full((n, 2), -1)  # of the same laser: point before, point after
     ends = np.full((lasers, 2), -1)  # of each laser: first and last point so far
@@ -121,7 +123,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
     errors = np.zeros((n, PREDICTORS), np.uint16)
     sizes = np.zeros((n, 4), np.uint8)
     guess = np.zeros(PREDICTORS)
-    drift = np.zeros(3)
+    drift = np.zeros((lasers + 1, 3))  # of each laser, and of what is no return: last misfit, metres
     for i in range(n):
         kind = _code_kind(writing, state, data, of_kind, kinds, i, left, up)
         kinds[i] = kind
@@ -148,44 +150,59 @@ def code_aimed(  # type: ignore[no-untyped-def]
             laser[i] = k
             if left == 0:
                 slot = k
-            # The tick: as the point before in the firing went on; at the pace; as this pair of lasers did before.
+            # The tick: as the firing's points before say, or the firings before; or as this pair of lasers did before.
             how, expected = 3, 0
             if left == 0:
                 if recent >= 0:
                     how = 0 if hop[laser[recent], k] < 1 << 30 else 2
                     expected = tick[recent] + (hop[laser[recent], k] if how == 0 else 0)
             elif known:
-                how, expected = 1, slot_tick[slot] + pace * (cycle - slot_cycle[slot])
-                if advance_at == cycle and advance_from == slot_cycle[slot]:
-                    how, expected = 0, slot_tick[slot] + advance
+                how = 0 if base_cycle == cycle else 1
+                expected = base + relative[slot] + pace * (cycle - base_cycle)
             elif recent >= 0:
                 how, expected = 2, tick[recent]
-            last_miss = min(slot_size[slot], _SIZES - 1)
+            if reach > 0.0 and how == 0:
+                count = level[i] * step + 0.5 * (step - 1)
+                x, y, z = model_point(
+                    np.int32(expected % ticks), count, parameters[k], constants[k], count_size, sines, cosines
+                )
+                if moving:
+                    x, y, z = moved(x, y, z, (firings - 1 - i // slots) / firings, m)
+                x -= np.float64(points[i, 0])
+                y -= np.float64(points[i, 1])
+                z -= np.float64(points[i, 2])
+                if x * x + y * y + z * z <= reach * reach:
+                    tick[i] = expected % ticks
             off = (tick[i] - expected) % ticks
             off = off - ticks if off > ticks // 2 else off
             off = code_number(
-                writing, state, data, of_tick, last_miss * _SIZES + min(miss, _SIZES - 1),
-                of_pace, how * _SIZES + min(miss, _SIZES - 1), off,
+                writing, state, data, of_tick, slot_size[slot] * _SIZES + miss,
+                of_pace, how * _SIZES + miss, off,
             )  # fmt: skip
             tick[i] = (expected + off) % ticks
-            miss = size_of(abs(off))
+            miss = min(size_of(abs(off)), _SIZES - 1)
             slot_size[slot] = miss
-            if left == 0 and recent >= 0:
-                jump = (tick[i] - tick[recent]) % ticks
-                hop[laser[recent], k] = jump - ticks if jump > ticks // 2 else jump
-            elif known:
-                went = (tick[i] - slot_tick[slot]) % ticks
-                went = went - ticks if went > ticks // 2 else went
-                advance, advance_from, advance_at = went, slot_cycle[slot], cycle
-                if cycle - slot_cycle[slot] == 1:
-                    pace = went
-            slot_laser[slot], slot_tick[slot], slot_cycle[slot] = k, tick[i], cycle
+            if left == 0:
+                if recent >= 0:
+                    jump = (tick[i] - tick[recent]) % ticks
+                    hop[laser[recent], k] = jump - ticks if jump > ticks // 2 else jump
+            else:
+                if base_cycle != cycle:  # the first of its firing tells how far the sensor turned
+                    went = (tick[i] - relative[slot] - base) % ticks
+                    went = went - ticks if went > ticks // 2 else went
+                    if base_cycle >= 0 and cycle - base_cycle == 1:
+                        pace = went
+                    base, base_cycle = base + went, cycle
+                there = (tick[i] - base) % ticks
+                there = there - ticks if there > ticks // 2 else there
+                relative[slot] = there
+                slot_laser[slot] = k
             # The count.
             azimuth[i] = tick[i] + phase[k]
             place = ends[k, 1]
             upper = above_and_below(i, k, above[k], 0, ticks, azimuth, inverse, links, ends, cursor, beside)
             lower = above_and_below(i, k, below[k], 1, ticks, azimuth, inverse, links, ends, cursor, beside)
-            r, spread = guess_inverse(
+            r, spread, apart = guess_inverse(
                 i, place, upper, lower, ticks, azimuth, inverse, links, beside, errors, guess
             )
             unit = count_size * step
@@ -194,12 +211,10 @@ def code_aimed(  # type: ignore[no-untyped-def]
             foretold = np.int64(
                 np.rint(min(max(((r - d0) / count_size - middle) / step, 0.0), float(MAX_LEVEL)))
             )
-            size1 = np.int64(sizes[place, 0]) if place >= 0 else _SIZES - 1
-            size2 = np.int64(sizes[upper, 0]) if upper >= 0 else (
-                np.int64(sizes[recent, 0]) if recent >= 0 else _SIZES - 1)  # fmt: skip
+            size = np.int64(sizes[place, 0]) if place >= 0 else _SIZES - 1
             number = code_number(
                 writing, state, data, of_spread, bucket_of(spread, unit),
-                of_level, size1 * _SIZES + size2, level[i] - foretold,
+                of_level, min(bucket_of(apart, unit) // 2, _SIZES - 1) * _SIZES + size, level[i] - foretold,
             )  # fmt: skip
             sizes[i, 0] = (size_of(abs(number)) + 1) // 2
             level[i] = min(max(foretold + number, 0), MAX_LEVEL)
@@ -216,20 +231,21 @@ def code_aimed(  # type: ignore[no-untyped-def]
             x, y, z = moved(x, y, z, (firings - 1 - i // slots) / firings, m)
         if exact:
             old = recent if place < 0 else place
-            reach = min(bucket_of(np.sqrt(x * x + y * y + z * z), 0.25) // 2, 15)
+            same = k if kind == AIMED else lasers
+            far = min(bucket_of(np.sqrt(x * x + y * y + z * z), 0.25) // 2, 15)
             for c in range(3):
                 model = x if c == 0 else (y if c == 1 else z)
-                told = model + (drift[c] if moving else 0.0)
-                whole = whole_of(told, form, per)
+                whole = whole_of(model + drift[same, c], form, per)
                 side = np.int64(sizes[old, 1 + c]) if old >= 0 else _SIZES - 1
                 close = np.int64(sizes[recent, 1 + c]) if recent >= 0 else _SIZES - 1
                 number = code_number(
-                    writing, state, data, of_fix, (c * _SIZES + side) * _SIZES + close, of_reach, c * 16 + reach,
+                    writing, state, data, of_fix, (c * _SIZES + side) * _SIZES + close, of_reach, c * 16 + far,
                     whole_of(points[i, c], form, per) - whole if writing else 0,
                 )  # fmt: skip
                 sizes[i, 1 + c] = (size_of(abs(number)) + 1) // 2
                 points[i, c] = coordinate_of(whole + number, form, per)
-                drift[c] = np.float64(points[i, c]) - model
+                if moving:  # six numbers leave a little of a motion, and it changes slowly
+                    drift[same, c] = min(max(np.float64(points[i, c]) - model, -1.0), 1.0)
         elif not writing:
             points[i, 0], points[i, 1], points[i, 2] = x, y, z
         if kind == AIMED:

@@ -67,7 +67,7 @@ def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cur
 
 @njit(cache=True, error_model="numpy")
 def guess_inverse(i, place, upper, lower, ticks, azimuth, inverse, links, beside, errors, guess):  # type: ignore[no-untyped-def]
-    """Fill the guesses of 1/d of point i; return the distance they make together, and how far it may be off.
+    """Fill the guesses of 1/d of point i; return the distance they make together, how far it may be off, and how far apart they are.
 
     ``place``: the last point of the same laser; ``upper``, ``lower``: the nearest of its neighbours; -1: none.
     """
@@ -100,9 +100,13 @@ def guess_inverse(i, place, upper, lower, ticks, azimuth, inverse, links, beside
         guess[6] = 0.5 * (near + beside[i, 0])
     elif lower >= 0:
         guess[6] = 0.5 * (near + beside[i, 1])
+    # The plane through the neighbours, but never beyond them (LOCO-I).
+    guess[7] = max(min(guess[0], guess[2]), min(max(guess[0], guess[2]), guess[3]))
     total = mean = spread = 0.0
+    low, high = guess[0], guess[0]
     for p in range(len(guess)):
         guess[p] = min(max(guess[p], 1.0 / 1000.0), 10.0)
+        low, high = min(low, guess[p]), max(high, guess[p])
         error, seen = 0.0, 0.0
         for j in (place, upper, lower):
             if j >= 0:
@@ -115,4 +119,4 @@ def guess_inverse(i, place, upper, lower, ticks, azimuth, inverse, links, beside
         mean += weight * guess[p]
         spread += weight * error
     r = total / mean
-    return r, spread / total * r
+    return r, spread / total * r, (high - low) * r * r

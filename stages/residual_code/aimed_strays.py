@@ -21,8 +21,8 @@ from salpcc.stages.residual_code.aimed_stream import (
     Aimed,
     Way,
     put,
-    put_for_good,
     read_aimed,
+    settle,
     step_of,
     write_aimed,
 )
@@ -60,16 +60,16 @@ def choose(
         if layouts[0][0] < 2:
             return None
     way = Way(layouts[0], form, per, exact, step_of(0.0 if exact else max_error, sensor), moved)
-    if exact or settled:
-        aimed = put(points, sensor, way, EXACT_REACH if exact else 0.0)
-    else:
-        aimed = put_for_good(points, sensor, way, max_error)
+    reach = EXACT_REACH if exact else (0.0 if settled else max_error)
+    aimed = put(points, sensor, way, reach)
     if (aimed.kinds != OFF).mean() < _LEAST_SHARE:
         return None
     if moved is None:
         layouts = likely_layouts(points, lanes=True)
     ways = [replace(way, layout=layout) for layout in layouts]
-    return (way if len(ways) == 1 else min(ways, key=lambda w: _tried(aimed, points, sensor, w))), aimed
+    if len(ways) > 1:
+        way = min(ways, key=lambda w: _tried(aimed, points, sensor, w))
+    return way, (aimed if exact or settled else settle(aimed, points, sensor, way, max_error))
 
 
 def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:

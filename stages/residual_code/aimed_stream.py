@@ -28,6 +28,7 @@ from salpcc.stages.residual_code.range_coder import finish_encoder, start_decode
 from salpcc.stages.residual_code.ray_coder import F32, Layout
 
 EXACT_REACH = 0.005  # metres; what is farther from the lattice costs less off it
+_ROUNDING = 1e-5  # metres, more than float32 rounds points by
 _SLACK = 1e-4  # metres of an allowed error that are left to what the model is off by
 
 I64 = NDArray[np.int64]
@@ -68,20 +69,16 @@ def step_of(max_error: float, sensor: SensorModel) -> int:
 
 def put(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
     """Put points ``(S, 3)`` on the lattice where that moves them by ``reach`` metres at most; 0: by no bit. Others are of kind OFF."""
-    n = len(points)
     wide = points.astype(np.float64)
-    s = places(n, max(way.layout[0], 1))
-    motion = None if way.motion is None else np.array(way.motion)
-    laser, tick, count, _ = aim(sensor, wide if motion is None else undo(wide, s, motion))
+    if way.motion is not None:
+        wide = undo(wide, places(len(points), way.layout[0]), np.array(way.motion))
+    laser, tick, count, _ = aim(sensor, wide)
     level = np.clip(count // way.step, 0, MAX_LEVEL)
-    middle = (level * way.step + 0.5 * (way.step - 1)).astype(np.float64)
-    model = unproject(sensor, np.maximum(laser, 0).astype(np.uint8), tick.astype(np.int32), middle)
-    origin = np.zeros((n, 3))
-    if motion is not None:
-        model, origin = redo(model, s, motion), redo(origin, s, motion)
+    known = np.maximum(laser, 0).astype(np.uint8)
+    model, origin = _decoded(known, tick, level, sensor, way)
     kinds = np.where((laser >= 0) & _within(points, model, reach), AIMED, OFF).astype(np.uint8)
     bits = points.view(np.int32)
-    if motion is None:
+    if way.motion is None:
         kinds[(bits == 0).all(axis=1)] = ZERO
     else:
         kinds[_within(points, origin, reach)] = ZERO
@@ -89,22 +86,45 @@ def put(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
     moved = points.copy()
     moved[kinds == AIMED] = model[kinds == AIMED]
     moved[kinds == ZERO] = origin[kinds == ZERO]
-    return Aimed(moved, kinds, np.maximum(laser, 0).astype(np.uint8), tick, level)
+    return Aimed(moved, kinds, known, tick, level)
 
 
-def put_for_good(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
-    """:func:`put` points that will be found again at the same places by a second :func:`put` that moves no bit."""
-    first = put(points, sensor, way, reach)
-    again = put(first.points, sensor, way, 0.0)
-    lost = (first.kinds != OFF) & (again.kinds != first.kinds)
-    kinds = np.where(lost, OFF, first.kinds).astype(np.uint8)
-    return replace(again, points=np.where(lost[:, None], points, first.points), kinds=kinds)
+def settle(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, max_error: float) -> Aimed:
+    """Turn ticks to where the coder expects them, as far as points ``(S, 3)`` stay within ``max_error``.
+
+    All points but those of kind OFF will be found again at the same places by a :func:`put` that moves no bit.
+    """
+    eased = Aimed(
+        points.copy(), *(getattr(aimed, name).copy() for name in ("kinds", "laser", "tick", "level"))
+    )
+    scratch = np.empty(64 * len(points) + 4096, np.uint8)
+    _code(True, eased.points, eased, sensor, way, max_error - _ROUNDING, start_encoder(), scratch)
+    on = eased.kinds == AIMED
+    model, _ = _decoded(eased.laser, eased.tick, eased.level, sensor, way)
+    moved = np.where(on[:, None], model.astype(np.float32), aimed.points)
+    again = put(moved, sensor, way, 0.0)
+    lost = (eased.kinds != OFF) & ((again.kinds != eased.kinds) | (on & ~_within(points, model, max_error)))
+    kinds = np.where(lost, OFF, eased.kinds).astype(np.uint8)
+    return replace(again, points=np.where(lost[:, None], points, moved), kinds=kinds)
+
+
+def _decoded(
+    laser: NDArray[np.uint8], tick: I64, level: I64, sensor: SensorModel, way: Way
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where places on the lattice decode to, ``(S, 3)``, and where no return would."""
+    middle = (level * way.step + 0.5 * (way.step - 1)).astype(np.float64)
+    model = unproject(sensor, laser, tick.astype(np.int32), middle)
+    origin = np.zeros(model.shape)
+    if way.motion is None:
+        return model, origin
+    s, motion = places(len(laser), way.layout[0]), np.array(way.motion)
+    return redo(model, s, motion), redo(origin, s, motion)
 
 
 def write_aimed(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, out: NDArray[np.uint8]) -> int:
     """Write ``points`` whose lattice places are ``aimed``; return the bytes written to ``out``, -1 if full."""
     state = start_encoder()
-    _code(True, points.copy(), aimed, sensor, way, state, out)
+    _code(True, points.copy(), aimed, sensor, way, 0.0, state, out)
     return int(finish_encoder(state, out))
 
 
@@ -120,7 +140,7 @@ def read_aimed(
         np.zeros(n, np.int64),
     )
     state = start_decoder(data)
-    _code(False, empty.points, empty, sensor, way, state, data)
+    _code(False, empty.points, empty, sensor, way, 0.0, state, data)
     return empty.points, empty.kinds, bool(state[3] == 0)
 
 
@@ -130,13 +150,14 @@ def _code(
     aimed: Aimed,
     sensor: SensorModel,
     way: Way,
+    reach: float,
     state: I64,
     data: NDArray[np.uint8],
 ) -> None:
     motion = (0.0,) * 6 if way.motion is None else way.motion
     code_aimed(
         writing, points, aimed.kinds, aimed.laser, aimed.tick, aimed.level, *way.layout, way.form, float(way.per), way.exact,
-        way.step, _tables(sensor), (way.motion is not None, motion), new_models(), state, data,
+        way.step, reach, _tables(sensor), (way.motion is not None, motion), new_models(), state, data,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources.kitti_raw import read_timestamps
 from salpcc.stages.ingest.sources.semantickitti import read_classes, read_times
-from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes, read_points
+from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes, read_points, read_points_with_rings
 from salpcc.stages.mapping.poses import read_poses
 
 _POINTS = np.random.default_rng(0).normal(0, 20, (50, 4)).astype("<f4")
@@ -39,6 +39,14 @@ def _bin(path: Path) -> None:
         raise Wrong("points differ from their file")
 
 
+def _ringed(path: Path) -> None:
+    points, intensity, ring = read_points_with_rings(path)
+    if not len(points) == len(intensity) == path.stat().st_size // 20 or (
+        ring is not None and ring.max() > 4095
+    ):
+        raise Wrong("points are not those of their file")
+
+
 def _label(path: Path) -> None:
     if len(read_classes(ScanRef("0", 0, "0.bin", 0, str(path)), 50)) != 50:
         raise Wrong("not one class per point")
@@ -56,6 +64,7 @@ def _sensor(path: Path) -> None:
 
 
 TARGETS = {
+    ".pcd.bin": Target(lambda _: [_POINTS[:40].tobytes()], _written("0.pcd.bin", _ringed), 0.04),
     ".bin": Target(lambda _: [_POINTS.tobytes()], _written("0.bin", _bin), 0.04),
     ".label": Target(lambda _: [np.full(50, 40, "<u4").tobytes()], _written("0.label", _label), 0.04),
     "times.txt": Target(

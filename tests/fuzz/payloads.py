@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ingest.grid import row_elevations, scan_to_grid
 from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.list_motion import places, redo
 from salpcc.stages.ingest.order import azimuth_keys
 from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sweep import scan_to_sweep
@@ -47,6 +49,40 @@ def _sensor_profile(folder: Path) -> list[bytes]:
     return [encode_gop([task], SENSOR, effort)[0].data for task, effort in tasks]
 
 
+def _other_sensor() -> SensorModel:
+    """Sixteen lasers that no network knows."""
+    none = np.zeros(16)
+    theta = np.radians(np.linspace(15, -15, 16))
+    return SensorModel("fan", 3600, 0.002, theta, none, none, none, none, np.zeros(16, np.int64))
+
+
+OTHER = _other_sensor()
+
+
+def _aimed(folder: Path) -> list[bytes]:
+    """Firings of another sensor, not rounded to 1 mm: exact, within a bound, and moved; some points off the lattice."""
+    rng = np.random.default_rng(0)
+    laser, tick = np.tile(np.arange(16), 60), np.repeat(np.arange(0, 3600, 60), 16)
+    count = (3000 + 500 * np.sin(tick / 200) + rng.normal(0, 5, len(tick))).astype(np.int32)
+    points = unproject(OTHER, laser.astype(np.uint8), tick.astype(np.int32), count).astype(np.float32)
+    points[::50] = rng.normal(0, 5, points[::50].shape)
+    points[7::60] = 0
+    intensity = (rng.integers(0, 101, len(points)) / 100).astype(np.float32)
+    motion = np.array([-0.3, 0, 0, 0, 0, 1e-3])
+    moved = redo(points.astype(np.float64), places(len(points), 16), motion).astype(np.float32)
+    sweeps = [scan_to_sweep(Scan("0", p, intensity), OTHER) for p in (points, moved)]
+    sweeps[1] = replace(sweeps[1], motion=motion)
+    tasks = [task for sweep in sweeps for task in (sweep, quantise(sweep, OTHER, 0.01))]
+    _crcs[folder] = [payload.content_crc(task) for task in tasks]
+    return [encode_gop([task], OTHER, "fast")[0].data for task in tasks]
+
+
+def _read_aimed(which: int, data: bytes, folder: Path) -> None:
+    for back in decode_any([data], OTHER):
+        if isinstance(back, GridSweep) or payload.content_crc(back) != _crcs[folder][which]:
+            raise Wrong("a payload decoded to another scan")
+
+
 def _paper_profile(folder: Path) -> list[bytes]:
     scan = small_scan(SENSOR, np.random.default_rng(0))
     grid = scan_to_grid(scan, 0.02, row_elevations([scan.points]))
@@ -64,5 +100,6 @@ def _read(which: int, data: bytes, folder: Path) -> None:
 
 TARGETS = {
     "payload": Target(_sensor_profile, _read, 0.4, mutate_payload),
+    "payload of another sensor": Target(_aimed, _read_aimed, 0.1, mutate_payload),
     "payload of the paper profile": Target(_paper_profile, _read, 0.04, mutate_payload),
 }

@@ -1,0 +1,164 @@
+"""Points of a calibrated sensor: exact or within the bound in any order, and in far fewer bits than on guessed rays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.calibrate import fit_sensor
+from salpcc.stages.ingest.find_lasers import Listed
+from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.list_motion import places, redo
+from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
+from salpcc.stages.residual_code.gop import decode_any, encode_gop
+from salpcc.stages.residual_code.payload import unpack
+from salpcc.stages.residual_code.stray_coder import AIMED, decode_strays, encode_strays, plan, snap
+from salpcc.stages.segment.task import quantise
+
+Points = NDArray[np.float32]
+LASERS, COLUMNS = 32, 512
+MOTION = np.array([-0.5, 0.01, 0.01, 1e-3, -5e-4, 3e-3])
+
+
+@pytest.fixture(scope="module")
+def fan() -> SensorModel:
+    """Levers, beams that are turned against each other, 1 mm counts: much like an OS-1."""
+    rng = np.random.default_rng(0)
+    return SensorModel(
+        "fan", 1024, 0.001, np.radians(np.linspace(16, -16, LASERS)), np.full(LASERS, 0.036), rng.normal(0, 0.001, LASERS),
+        rng.uniform(-3e-3, 3e-3, LASERS), np.full(LASERS, -2e-4), np.zeros(LASERS, np.int64),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def rows(fan: SensorModel) -> Points:
+    """Ground and walls, ``(LASERS, COLUMNS, 3)``, float32 as computed; zeros where nothing came back."""
+    rng = np.random.default_rng(1)
+    laser = np.repeat(np.arange(LASERS), COLUMNS)
+    tick = np.tile(np.arange(COLUMNS) * 2, LASERS)
+    wall = 12.0 + 5.0 * np.sin(tick / 1024 * 6 * np.pi) + tick // 100 % 2 * 3.0
+    ground = 1.7 / np.maximum(-np.sin(fan.theta[laser]), 0.02)
+    count = np.rint((np.minimum(wall, ground) + rng.normal(0, 0.01, len(tick))) / fan.count)
+    points = unproject(fan, laser.astype(np.uint8), tick.astype(np.int32), count).astype(np.float32)
+    points[rng.random(len(points)) < 0.05] = 0
+    return points.reshape(LASERS, COLUMNS, 3)
+
+
+def in_order(rows: Points, order: str) -> Points:
+    points = rows if order.startswith("rows") else rows.transpose(1, 0, 2)
+    points = np.ascontiguousarray(points.reshape(-1, 3))
+    return points[(points != 0).any(axis=1)] if order.endswith("returns") else points
+
+
+@pytest.mark.parametrize("order", ["rows", "rows, returns", "firings", "firings, returns"])
+@pytest.mark.parametrize(
+    ("max_error", "gain"), [(0.0, 0.5), (0.001, 0.75), (0.005, 0.75), (0.01, 0.8), (0.02, 0.85)]
+)
+def test_gains_in_any_order(
+    fan: SensorModel, rows: Points, order: str, max_error: float, gain: float
+) -> None:
+    points = in_order(rows, order)
+    sizes = {}
+    for sensor in (None, fan):
+        snapped = snap(points, max_error, sensor)
+        data = encode_strays(np.arange(len(points)), plan(snapped, max_error, sensor))
+        read = np.frombuffer(bytearray(data), np.uint8)
+        back, decoded, sound = decode_strays(len(points), max_error, read, sensor)
+        assert sound
+        assert decoded.tobytes() == snapped.tobytes()
+        assert (back == np.arange(len(points))).all()
+        assert np.linalg.norm(decoded.astype(np.float64) - points, axis=1).max() <= max_error
+        sizes[sensor] = len(data)
+    assert sizes[fan] < gain * sizes[None]
+
+
+@pytest.mark.parametrize("max_error", [0.0, 0.01])
+def test_what_is_off_the_lattice_keeps_its_place(fan: SensorModel, rows: Points, max_error: float) -> None:
+    points = in_order(rows, "rows")
+    rng = np.random.default_rng(2)
+    odd = rng.random(len(points)) < 0.03
+    points[odd] += rng.normal(0, 0.3, (int(odd.sum()), 3)).astype(np.float32)
+    points[5:9] = [[np.nan] * 3, [np.inf, 0, 1], [0, 0, 3], [-0.0, 0, 0]]
+    snapped = snap(points, max_error, fan)
+    data = encode_strays(np.arange(len(points)), plan(snapped, max_error, fan))
+    assert data[4] == AIMED
+    _, decoded, sound = decode_strays(len(points), max_error, np.frombuffer(bytearray(data), np.uint8), fan)
+    assert sound
+    assert decoded.tobytes() == snapped.tobytes()
+    finite = np.isfinite(points).all(axis=1)
+    assert np.linalg.norm(decoded[finite].astype(np.float64) - points[finite], axis=1).max() <= max_error
+    assert snapped[~finite].tobytes() == points[~finite].tobytes()
+
+
+def test_another_sensor_changes_nothing(fan: SensorModel, sensor: SensorModel, rows: Points) -> None:
+    points = in_order(rows, "firings")
+    for max_error in (0.0, 0.005):
+        coded = [
+            encode_strays(np.arange(len(points)), plan(snap(points, max_error, other), max_error, other))
+            for other in (None, sensor)
+        ]
+        assert len(coded[1]) <= len(coded[0])
+
+
+@pytest.mark.parametrize("max_error", [0.0, 0.005, 0.01])
+def test_moved_firings_through_the_whole_codec(fan: SensorModel, rows: Points, max_error: float) -> None:
+    """A calibrated sensor whose clouds are moved to one moment: the motion is found, and all comes back."""
+    fine = replace(fan, ticks_per_turn=36_000, count=0.002, h=np.zeros(LASERS), phi0=np.zeros(LASERS))
+    laser = np.tile(np.arange(LASERS), 1000)
+    tick = np.repeat(np.arange(1000) * 36, LASERS)
+    far = np.minimum(
+        12.0 + 5.0 * np.sin(tick / 36_000 * 6 * np.pi), 1.7 / np.maximum(-np.sin(fan.theta[laser]), 0.02)
+    )
+    count = np.rint((far + np.random.default_rng(3).normal(0, 0.01, len(tick))) / fine.count)
+    still = unproject(fine, laser.astype(np.uint8), tick.astype(np.int32), count)
+    points = redo(still, places(len(still), LASERS), MOTION).astype(np.float32)
+    scan = Scan("0", points, np.zeros(len(points), np.float32))
+    sweep = scan_to_sweep(scan, fine)
+    assert sweep.motion is not None
+    assert np.abs(sweep.motion - MOTION)[:3].max() < 1e-3
+    task = quantise(sweep, fine, max_error) if max_error else sweep
+    data = encode_gop([task], fine, "default")[0].data
+    (decoded,) = decode_any([data], fine)
+    back = sweep_to_scan(decoded, fine).points
+    if max_error:
+        assert np.linalg.norm(back.astype(np.float64) - points, axis=1).max() <= max_error
+    else:
+        assert back.tobytes() == points.tobytes()
+    assert unpack(data)[1][4][4] == AIMED
+    plain = plan(snap(points, max_error), max_error)
+    assert len(data) < 0.75 * len(encode_strays(np.arange(len(points)), plain))
+
+
+def test_real_sweep_gains(real_data) -> None:
+    file = real_data / "other_sensors" / "nuscenes_lidar_top.pcd.bin"
+    if not file.is_file():
+        pytest.skip(f"{file} is absent")
+    points = np.ascontiguousarray(np.fromfile(file, "<f4").reshape(-1, 5)[:, :3])
+    model = fit_sensor([Listed(points.astype(np.float64))], "hdl32e", rounded=False).model
+    sweep = quantise(scan_to_sweep(Scan("0", points, np.zeros(len(points), np.float32)), model), model, 0.01)
+    snapped = sweep.stray_points[:, :3]
+    data = encode_strays(sweep.stray_index, plan(snapped, 0.01, model, sweep.motion))
+    assert 8 * len(data) / len(points) < 4.6  # on guessed rays: 8.6
+    assert np.linalg.norm(snapped.astype(np.float64) - points, axis=1).max() <= 0.01
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.binary(max_size=200), st.integers(1, 300), st.booleans())
+def test_any_bytes_end(data: bytes, n: int, moved: bool) -> None:
+    """Damage is for the checksum to find; it must neither crash nor hang the decoder."""
+    none = np.zeros(2)
+    pair = SensorModel(
+        "pair", 360, 0.01, np.array([0.1, -0.1]), none, none, none, none, np.zeros(2, np.int64)
+    )
+    for max_error in (0.0, 0.01):
+        form = b"\x02" if max_error == 0.0 else b"\x00"
+        head = b"\x00\x00\x00\x00\x03\x02\x00\x01\x00\x01\x00\x00\x00" + form + b"\x01\x00\x00\x00"
+        body = np.frombuffer(
+            bytearray(head + b"\x00\x00\x00\x00" + len(data).to_bytes(4, "little") + data), np.uint8
+        )
+        decode_strays(n, max_error, body, pair, MOTION if moved else None)
