@@ -98,7 +98,7 @@ class SensorModel:
                 shift=np.array([int(value) for value in document["shift"]], np.int64),
                 **{name: np.array([float(v) for v in document[name]], np.float64) for name in _PER_LASER},
             )
-        except (ValueError, KeyError, TypeError, OverflowError) as error:
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise SensorError(f"not a sensor model: {error!r}") from error
         sound = (
             1 <= model.n_lasers <= _MAX_LASERS

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 COMMAND = [sys.executable, "-m", "salpcc.pipeline.cli"]
@@ -156,7 +157,17 @@ def test_calibrate_recovers_the_model(toy_root: Path, tmp_path: Path) -> None:
     result = cli("calibrate", toy_root, "--out", tmp_path / "mine.json")
     assert result.returncode == 0, result.stderr
     assert json.loads((tmp_path / "mine.json").read_text())["name"] == "mine"
-    assert "64 lasers from 8 scans" in result.stdout
+    assert "64 lasers" in result.stdout and "from 8 scans (0 left out)" in result.stdout
+    assert "range step: 2 mm" in result.stdout and "of the points back to the millimetre" in result.stdout
+
+
+def test_calibrate_says_what_is_no_sensor(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for name, rows in (("blob", rng.normal(0, 20, (5000, 4))), ("few", rng.normal(0, 20, (50, 4)))):
+        rows.astype("<f4").tofile(tmp_path / f"{name}.bin")
+        result = cli("calibrate", tmp_path / f"{name}.bin", "--out", tmp_path / "s.json")
+        assert result.returncode == 1 and f"{name}.bin" in error_of(result)
+    assert not (tmp_path / "s.json").exists()
 
 
 def test_report_is_rebuilt(done: Path, tmp_path: Path) -> None:

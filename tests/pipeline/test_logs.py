@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, digests
+from salpcc.pipeline.calibrate import calibrate_log
 from salpcc.pipeline.cli import app
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
@@ -26,6 +27,8 @@ from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError
+from salpcc.stages.ingest.lattice import unproject
+from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.sources.bag import Bag, digest_log, find_log, open_log
 
 CLOUD, TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
@@ -436,3 +439,43 @@ def test_real_scans_come_back_from_every_kind_of_log(real_data: Path, tmp_path: 
         assert sum(len(scan.cloud.rest) for scan in archive if scan.cloud) == len(kitti) + len(nuscenes)
         (path,) = EXPORTS["bag" if name == "ros1" else "mcap"](archive, iter(archive), tmp_path / "back")
         assert read(path) == recorded[name]
+
+
+def test_a_calibrated_sensor_codes_its_log(tmp_path: Path) -> None:
+    """``calibrate LOG``, then ``run log LOG --sensor FILE``: smaller, and every message comes back."""
+    rng = np.random.default_rng(0)
+    lasers, columns = 16, 256
+    none = np.zeros(lasers)
+    truth = SensorModel(
+        "truth",
+        1024,
+        0.001,
+        np.radians(np.linspace(12, -12, lasers)),
+        none,
+        none,
+        none,
+        none,
+        none.astype(np.int64),
+    )
+    laser, tick = np.repeat(np.arange(lasers), columns), np.tile(np.arange(columns) * 4, lasers)
+    clouds = []
+    for _ in range(2):
+        far = np.minimum(10 + 4 * np.sin(tick / 80), 1.7 / np.maximum(-np.sin(truth.theta[laser]), 0.02))
+        count = np.rint((far + rng.normal(0, 0.01, len(tick))) / truth.count)
+        points = np.zeros((len(tick), 4), "<f4")
+        points[:, :3] = unproject(truth, laser.astype(np.uint8), tick.astype(np.int32), count)
+        clouds.append({**lattice_cloud(points), "height": lasers, "width": columns})
+    recorded = write_logs(tmp_path, {"/points": clouds})
+    found = calibrate_log(tmp_path / "bare.mcap", 10, "mine")
+    assert (found.fit.model.n_lasers, found.fit.model.count) == (lasers, 0.001)
+    (tmp_path / "mine.json").write_text(found.fit.model.to_json())
+    sizes = []
+    for sensor in ("hdl64e", str(tmp_path / "mine.json")):
+        out = tmp_path / f"out{len(sizes)}"
+        assert not run_logs(tmp_path, out, ["bare"], sensor=sensor).failed
+        archive = Archive.open(out / "archives" / "bare.mcap")
+        sizes.append(sum(entry.geometry for gop in archive._reader.gops for entry in gop))
+        (path,) = EXPORTS["mcap"](archive, iter(archive), out / "back")
+        assert read(path) == recorded["bare"]
+        assert verify(out / "archives" / "bare.mcap", tmp_path).good
+    assert sizes[1] < 0.5 * sizes[0]
