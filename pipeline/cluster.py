@@ -55,6 +55,8 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
         "distributed.nanny.pre-spawn-environ": _WORKER_ENVIRONMENT,
         "distributed.admin.tick.limit": "60s",
         "distributed.scheduler.worker-saturation": 1.0,
+        # Nobody looks at it, and up to Python 3.11 it can lock up with a thread that begins (gh-106883).
+        "distributed.worker.profile.enabled": False,
     }
     if count:
         settings["distributed.worker.preload"] = [__name__]

@@ -131,10 +131,10 @@ class McapLog:
         with self._failing(number), reading(path) as file:
             if file.read(len(_MAGIC)) != _MAGIC:
                 raise ValueError("not an MCAP file")
+            ended = False
             for opcode, at, length in top_records(file, path.stat().st_size, len(_MAGIC)):
-                if opcode == Opcode.DATA_END:
-                    return
-                if opcode not in wanted:
+                ended = ended or opcode == Opcode.DATA_END
+                if ended or opcode not in wanted:
                     continue
                 if length > MAX_RECORD:
                     raise ValueError(
@@ -142,7 +142,8 @@ class McapLog:
                     )
                 file.seek(at)
                 yield opcode, at, file.read(length)
-            raise ValueError("ends early: no end of its data; `mcap recover` mends it")
+            if not ended:
+                raise ValueError("ends early: no end of its data; `mcap recover` mends it")
 
     @contextmanager
     def _failing(self, number: int) -> Iterator[None]:
