@@ -16,64 +16,25 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from salpcc.stages.ingest.lattice import model_point
 from salpcc.stages.ingest.untwist import moved
 from salpcc.stages.residual_code.aimed_neighbours import above_and_below, guess_inverse, link
-from salpcc.stages.residual_code.range_coder import new_bits
-from salpcc.stages.residual_code.ray_forms import SPREADS, bucket_of, coordinate_of, whole_of
-from salpcc.stages.residual_code.residual_bits import PER_CONTEXT, SIZES, code_bit, code_number, size_of
+from salpcc.stages.residual_code.aimed_symbols import (
+    AIMED,
+    CLASSES,
+    NAN,
+    OFF,
+    PREDICTORS,
+    ZERO,
+    code_kind,
+    code_laser,
+)
+from salpcc.stages.residual_code.ray_forms import bucket_of, coordinate_of, whole_of
+from salpcc.stages.residual_code.residual_bits import code_number, size_of
 
-AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
-PREDICTORS = 8
 MAX_LEVEL = (1 << 20) - 1
 NAN_BITS = 0x7FC00000
-_SIZES = SIZES // 2 + 1  # as contexts
-
-Bits = NDArray[np.uint16]
-Models = tuple[Bits, Bits, Bits, Bits, Bits, Bits, Bits, Bits]
-
-
-def new_models() -> Models:
-    """Return fresh contexts: of kinds, lasers, ticks (two), counts (two), and of what the model is off by (two)."""
-    pairs = _SIZES * _SIZES * PER_CONTEXT
-    return (
-        new_bits(64 * 4),
-        new_bits(257 * 256),
-        new_bits(pairs),
-        new_bits(4 * _SIZES * PER_CONTEXT),
-        new_bits(SPREADS * PER_CONTEXT),
-        new_bits(pairs),
-        new_bits(3 * pairs),
-        new_bits(3 * 16 * PER_CONTEXT),
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _code_kind(writing, state, data, bits, kinds, i, left, up):  # type: ignore[no-untyped-def]
-    k1 = np.int64(kinds[i - 1]) if i >= 1 else 0
-    k2 = np.int64(kinds[i - left]) if left > 0 and i >= left else 0
-    k3 = np.int64(kinds[i - up]) if up > 0 and i >= up else 0
-    kind = np.int64(kinds[i])
-    at = (k1 * 16 + k2 * 4 + k3) * 4
-    high = code_bit(writing, state, data, bits, at, bits, at + 1, kind >> 1)
-    low = code_bit(writing, state, data, bits, at + 2 + high, bits, at + 2 + high, kind & 1)
-    return high * 2 + low
-
-
-@njit(cache=True, error_model="numpy")
-def _code_laser(writing, state, data, bits, known, before, laser):  # type: ignore[no-untyped-def]
-    """Where ``known``, the laser is most often the one before at this place; else it depends on the point before."""
-    if known:
-        if code_bit(writing, state, data, bits, 0, bits, 0, np.int64(laser != before)) == 0:
-            return before
-        before = 0
-    node = 1
-    for b in range(7, -1, -1):
-        at = ((0 if known else 1 + before) * 256) + node
-        node = node << 1 | code_bit(writing, state, data, bits, at, bits, at, (laser >> b) & 1)
-    return node & 255
 
 
 @njit(cache=True, error_model="numpy")
@@ -99,10 +60,12 @@ def code_aimed(  # type: ignore[no-untyped-def]
 ):
     """Write or read ``S`` points: ``points (S, 3)`` float32, kinds, lasers, ticks, levels ``(S,)``.
 
-    Writing, all of them are given, and points are where they decode to. ``form`` is GRID or BITS, if ``exact``; ``step`` counts
-    make a level. With a ``reach`` above 0, points are those to be coded, and a tick becomes the expected one where that leaves the point
-    within it: what is written then is no stream, but the ticks are easier. ``sensor``: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks,
-    neighbours above and below. ``motion``: whether there is one, and its six numbers.
+    Args:
+        form, per: of corrections, where ``exact``. ``step`` counts make a level.
+        reach: 0; above 0 a tick becomes the expected one where that leaves a point within so many metres of ``points``, and what
+            is written is no stream.
+        sensor: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks, neighbours above and below.
+        motion: whether there is one, and its six numbers.
     """
     parameters, constants, sines, cosines, count_size, phase, above, below = sensor
     moving, m = motion
@@ -125,7 +88,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
     guess = np.zeros(PREDICTORS)
     drift = np.zeros((lasers + 1, 3))  # of each laser, and of what is no return: last misfit, metres
     for i in range(n):
-        kind = _code_kind(writing, state, data, of_kind, kinds, i, left, up)
+        kind = code_kind(writing, state, data, of_kind, kinds, i, left, up)
         kinds[i] = kind
         if kind == OFF:
             continue
@@ -143,7 +106,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
             slot = i % slots if left > 0 else -1
             known = left > 0 and slot_laser[slot] >= 0
             before = slot_laser[slot] if known else (np.int64(laser[recent]) if recent >= 0 else 0)
-            k = _code_laser(writing, state, data, of_laser, known, before, np.int64(laser[i]))
+            k = code_laser(writing, state, data, of_laser, known, before, np.int64(laser[i]))
             if k >= lasers:
                 state[3] = 1
                 return
@@ -176,11 +139,11 @@ def code_aimed(  # type: ignore[no-untyped-def]
             off = (tick[i] - expected) % ticks
             off = off - ticks if off > ticks // 2 else off
             off = code_number(
-                writing, state, data, of_tick, slot_size[slot] * _SIZES + miss,
-                of_pace, how * _SIZES + miss, off,
+                writing, state, data, of_tick, slot_size[slot] * CLASSES + miss,
+                of_pace, how * CLASSES + miss, off,
             )  # fmt: skip
             tick[i] = (expected + off) % ticks
-            miss = min(size_of(abs(off)), _SIZES - 1)
+            miss = min(size_of(abs(off)), CLASSES - 1)
             slot_size[slot] = miss
             if left == 0:
                 if recent >= 0:
@@ -211,10 +174,10 @@ def code_aimed(  # type: ignore[no-untyped-def]
             foretold = np.int64(
                 np.rint(min(max(((r - d0) / count_size - middle) / step, 0.0), float(MAX_LEVEL)))
             )
-            size = np.int64(sizes[place, 0]) if place >= 0 else _SIZES - 1
+            size = np.int64(sizes[place, 0]) if place >= 0 else CLASSES - 1
             number = code_number(
                 writing, state, data, of_spread, bucket_of(spread, unit),
-                of_level, min(bucket_of(apart, unit) // 2, _SIZES - 1) * _SIZES + size, level[i] - foretold,
+                of_level, min(bucket_of(apart, unit) // 2, CLASSES - 1) * CLASSES + size, level[i] - foretold,
             )  # fmt: skip
             sizes[i, 0] = (size_of(abs(number)) + 1) // 2
             level[i] = min(max(foretold + number, 0), MAX_LEVEL)
@@ -236,10 +199,10 @@ def code_aimed(  # type: ignore[no-untyped-def]
             for c in range(3):
                 model = x if c == 0 else (y if c == 1 else z)
                 whole = whole_of(model + drift[same, c], form, per)
-                side = np.int64(sizes[old, 1 + c]) if old >= 0 else _SIZES - 1
-                close = np.int64(sizes[recent, 1 + c]) if recent >= 0 else _SIZES - 1
+                side = np.int64(sizes[old, 1 + c]) if old >= 0 else CLASSES - 1
+                close = np.int64(sizes[recent, 1 + c]) if recent >= 0 else CLASSES - 1
                 number = code_number(
-                    writing, state, data, of_fix, (c * _SIZES + side) * _SIZES + close, of_reach, c * 16 + far,
+                    writing, state, data, of_fix, (c * CLASSES + side) * CLASSES + close, of_reach, c * 16 + far,
                     whole_of(points[i, c], form, per) - whole if writing else 0,
                 )  # fmt: skip
                 sizes[i, 1 + c] = (size_of(abs(number)) + 1) // 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
+_STEPS = 64  # that a cursor goes at a time; hostile azimuths must not send it round and round
 _NEAR = 0.02  # turns; points farther apart in azimuth are not interpolated between
 
 
@@ -48,7 +49,7 @@ def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cur
         at = first if near else last
     off = _apart(azimuth[i], azimuth[at], ticks)
     for way in (1, 0):
-        while True:
+        for _ in range(_STEPS):
             step = links[at, way]
             nearer = _apart(azimuth[i], azimuth[step], ticks)
             if not abs(nearer) < abs(off):

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from salpcc.stages.ingest.find_lasers import find_firing
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.residual_code.aimed_coder import OFF
 from salpcc.stages.residual_code.aimed_stream import (
     EXACT_REACH,
     Aimed,
@@ -26,6 +25,7 @@ from salpcc.stages.residual_code.aimed_stream import (
     step_of,
     write_aimed,
 )
+from salpcc.stages.residual_code.aimed_symbols import OFF
 from salpcc.stages.residual_code.layout import likely_layouts
 from salpcc.stages.residual_code.ray_coder import F32, Layout
 from salpcc.stages.residual_code.ray_forms import ALONG, BITS

@@ -14,16 +14,8 @@ from salpcc.stages.ingest.lattice import laser_constants, unproject
 from salpcc.stages.ingest.list_motion import places, redo, undo
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import TWO_PI, turn_tables
-from salpcc.stages.residual_code.aimed_coder import (
-    AIMED,
-    MAX_LEVEL,
-    NAN,
-    NAN_BITS,
-    OFF,
-    ZERO,
-    code_aimed,
-    new_models,
-)
+from salpcc.stages.residual_code.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed
+from salpcc.stages.residual_code.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
 from salpcc.stages.residual_code.range_coder import finish_encoder, start_decoder, start_encoder
 from salpcc.stages.residual_code.ray_coder import F32, Layout
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from salpcc.stages.ingest.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.residual_code.aimed_coder import OFF
 from salpcc.stages.residual_code.aimed_strays import TRIED, Motion, choose, read_body, write_body
 from salpcc.stages.residual_code.aimed_stream import Aimed, Way
+from salpcc.stages.residual_code.aimed_symbols import OFF
 from salpcc.stages.residual_code.buffer import run_encoder
 from salpcc.stages.residual_code.integer_coder import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.layout import find_layout
