@@ -23,19 +23,23 @@ def coder(
     data: Data,
     out: Out = Path("weights"),
     effort: Annotated[
-        Effort, typer.Option(help="Which effort the weights are for; fast has none")
+        Effort, typer.Option(help="Which effort the weights are for; those of fast are tables")
     ] = "default",
     sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
 ) -> None:
-    """Train the coder's networks (range and intensity)."""
+    """Train the coder's networks (range and intensity), or count its tables."""
     from salpcc.stages.ingest.sensor_model import load_sensor
-    from salpcc.stages.predict.learned.train import RECIPES, read_sweeps, train_coder
+    from salpcc.stages.predict.learned.train import read_sweeps, train_coder
+    from salpcc.stages.predict.static.train import train_tables
 
-    if effort not in RECIPES:
-        raise UsageError(f"--effort {effort}: choose from {', '.join(RECIPES)}")
     check_data(data)
     model = load_sensor(sensor)
-    for path in train_coder(read_sweeps(data, model), model, out, effort, log=STDERR.print):
+    sweeps = read_sweeps(data, model)
+    if effort == "fast":
+        paths = [train_tables((sweep for sweep, _ in sweeps), model, out, STDERR.print)]
+    else:
+        paths = list(train_coder(sweeps, model, out, effort, log=STDERR.print))
+    for path in paths:
         typer.echo(f"weights: {path}")
 
 

@@ -14,14 +14,16 @@ class Prediction:
 
     Attributes:
         effort: the effort that coding will take; ``fast`` where no network knows the sensor.
-        level, spread: effort ``fast``: predicted level int32 and spread bucket uint8, ``(M,)``.
+        residual, level_context: effort ``fast``: level minus predicted level int32, and its context uint8, ``(M,)``.
+        intensity_context: effort ``fast``: uint16 ``(M,)``, None for intensities that are no hundredths.
         range_interval, intensity_interval: the learned efforts: uint32 ``(M, 2)``, start and width of the
             interval that the predicted distribution gives to the actual value. The latter is None for
             intensities that are no hundredths.
     """
 
     effort: str
-    level: NDArray[np.int32] | None = None
-    spread: NDArray[np.uint8] | None = None
+    residual: NDArray[np.int32] | None = None
+    level_context: NDArray[np.uint8] | None = None
+    intensity_context: NDArray[np.uint16] | None = None
     range_interval: NDArray[np.uint32] | None = None
     intensity_interval: NDArray[np.uint32] | None = None

@@ -69,8 +69,9 @@ PREDICTION = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
         pa.field("effort", pa.string(), nullable=False),
-        pa.field("level", list_of(pa.int32())),
-        pa.field("spread", list_of(pa.uint8())),
+        pa.field("residual", list_of(pa.int32())),
+        pa.field("level_context", list_of(pa.uint8())),
+        pa.field("intensity_context", list_of(pa.uint16())),
         pa.field("range_interval", list_of(pa.uint32())),
         pa.field("intensity_interval", list_of(pa.uint32())),
     ]
@@ -135,7 +136,7 @@ def table_to_sweeps(table: pa.Table) -> list[Sweep]:
     return [_row(table, i) for i in range(table.num_rows)]
 
 
-_PREDICTED = ("level", "spread", "range_interval", "intensity_interval")
+_PREDICTED = ("residual", "level_context", "intensity_context", "range_interval", "intensity_interval")
 
 
 def predictions_to_table(names: Iterable[str], predictions: Iterable[Prediction]) -> pa.Table:

@@ -127,7 +127,7 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre[on], ulp[on])
 
 
-def _return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return the points ``(M, 3)`` of the returns in firing order, and their order in the file."""
     model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
     order = file_order(sweep.laser, azimuth_keys(model))
@@ -143,30 +143,34 @@ def middle_counts(sweep: Sweep) -> NDArray[np.float64]:
     return sweep.count.astype(np.float64) * sweep.step + (sweep.step - 1) / 2
 
 
+def return_places(sweep: Sweep) -> NDArray[np.int64]:
+    """Return the places of the returns ``(M,)`` among the kept points, ascending."""
+    free = np.ones(len(sweep), np.bool_)
+    free[sweep.stray_index] = False
+    return np.flatnonzero(free)
+
+
 def source_places(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the places in file order of the returns ``(M,)`` and of the strays ``(S,)``."""
     model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
-    free = np.ones(len(sweep), np.bool_)
-    free[sweep.stray_index] = False
     places = np.empty(len(sweep.laser), np.int64)
-    places[file_order(sweep.laser, azimuth_keys(model))] = np.flatnonzero(free)
+    places[file_order(sweep.laser, azimuth_keys(model))] = return_places(sweep)
     return places, sweep.stray_index
 
 
 def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:
     """Return the scan of a sweep in file order: exact, or within its ``max_error``."""
-    on = np.ones(len(sweep), np.bool_)
-    on[sweep.stray_index] = False
-    returned, order = _return_points(sweep, sensor)
+    on, off = return_places(sweep), sweep.stray_index
+    returned, order = return_points(sweep, sensor)
     points = np.empty((len(sweep), 3), np.float32)
     points[on] = returned[order]
-    points[~on] = sweep.stray_points[:, :3]
+    points[off] = sweep.stray_points[:, :3]
     intensity = np.empty(len(sweep), np.float32)
     intensity[on] = sweep.intensity[order]
-    intensity[~on] = sweep.stray_points[:, 3]
+    intensity[off] = sweep.stray_points[:, 3]
     classes = None
     if sweep.classes is not None and sweep.stray_classes is not None:
         classes = np.empty(len(sweep), np.uint8)
         classes[on] = sweep.classes[order]
-        classes[~on] = sweep.stray_classes
+        classes[off] = sweep.stray_classes
     return Scan(sweep.name, points, intensity, sweep.time, sweep.frame_id, classes, sweep.motion, sweep.cloud)

@@ -15,6 +15,7 @@ from salpcc.stages.mapping.odometry import Registered, follow, start_of
 from salpcc.stages.mapping.poses import move
 from salpcc.stages.mapping.view import View, view_of
 from salpcc.stages.mapping.voxel import Voxels, fuse, fuse_scan
+from salpcc.stages.segment.geometric import split_ground
 
 F64 = NDArray[np.float64]
 Clouds = list[NDArray[np.float32]]
@@ -64,7 +65,8 @@ def gather(
     for scan, pose in zip(held, placed, strict=True):
         points += len(scan)
         near = in_range(scan, config)
-        classes = None if scan.classes is None else scan.classes[near]
+        # What no one labelled has ground at least, which free space does not carve.
+        classes = (split_ground(scan.points) if scan.classes is None else scan.classes)[near]
         parts.append(fuse_scan(move(scan.points[near], pose), scan.intensity[near], classes, config.voxel))
         if config.carve and (not views or _way(views[-1].pose, pose) >= config.view_every):
             views.append(view_of(scan.points, scan.motion, pose))

@@ -13,7 +13,8 @@ from salpcc.stages.predict.learned.models import load_models
 from salpcc.stages.predict.learned.previous_sweep import warp
 from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, count_levels, predict_ranges
 from salpcc.stages.predict.learned.sweep_walk import supports
-from salpcc.stages.predict.neighbours import laser_table, predict_levels, ring_starts
+from salpcc.stages.predict.rings import ring_starts
+from salpcc.stages.predict.static.coder import intensity_contexts, level_contexts
 
 __all__ = ["INTENSITY_OF_LEVEL", "effective_effort", "intensity_levels", "predict", "predict_sweeps"]
 
@@ -31,14 +32,15 @@ def predict(sweep: Sweep, sensor: SensorModel, effort: str, before: Sweep | None
     """
     starts = ring_starts(sweep.laser, sensor.n_lasers)
     effort = effective_effort(sweep, sensor, effort)
-    if effort == "fast":
-        table = laser_table(sensor)
-        return Prediction(effort, *predict_levels(starts, sweep.tick, sweep.count, sweep.step, table))
-    learned = load_models(effort)
     given = (starts, sweep.tick, sweep.count, sweep.step)
+    values = intensity_levels(sweep.intensity)
+    if effort == "fast":
+        context, residual = level_contexts(*given, sensor)
+        of_values = None if values is None else intensity_contexts(*given[:3], values)
+        return Prediction(effort, residual, context, of_values)
+    learned = load_models(effort)
     warped = warp(before, sweep.motion, sensor) if learned.looks_back else None
     ranges = predict_ranges(*given, sensor, learned.ranges, warped)
-    values = intensity_levels(sweep.intensity)
     intensity = (
         None if values is None else predict_intensity(*given, values, sensor, learned.intensity, warped)
     )

@@ -11,7 +11,7 @@ from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.predict.grid_prediction import predict_gop
 from salpcc.stages.predict.prediction import predict_sweeps
 
-VERSION = 4
+VERSION = 5
 
 
 def run(task: pa.Table, planes: pa.Table, config: RunConfig) -> pa.Table:

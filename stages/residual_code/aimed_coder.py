@@ -1,6 +1,6 @@
 """Points of a sensor whose model is known, in any order: laser, tick, count, and what the model is off by.
 
-The lattice's own coder (:mod:`.level_coder`) wants rings in the order of KITTI's files; this one follows the list. Every point
+The lattice's own coder (:mod:`salpcc.stages.predict.static.levels`) wants rings in the order of KITTI's files; this one follows the list. Every point
 has a *kind*: on the lattice (AIMED), no return (ZERO, NAN), or OFF it; points off the lattice are coded elsewhere.
 
 * The laser is told from the one at the same place of the firing before (``left`` points back; 0: from the point before).

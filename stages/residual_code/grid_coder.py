@@ -14,8 +14,8 @@ from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
 from salpcc.stages.ground_fit.grid_planes import PLANE_LIMIT, ground_of, predict_ground
 from salpcc.stages.ground_fit.grid_regions import REGIONS
 from salpcc.stages.predict.grid_prediction import FramePredictor, network_weights
-from salpcc.stages.predict.neighbours import ring_starts
 from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
+from salpcc.stages.predict.rings import ring_starts
 from salpcc.stages.residual_code import class_coder, intensity_coder
 from salpcc.stages.residual_code.buffer import run_encoder
 from salpcc.stages.residual_code.grid_images import IMAGE_CODERS

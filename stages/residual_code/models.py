@@ -18,14 +18,15 @@ from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
 from salpcc.stages.predict.learned.models import EFFORTS, LearnedModels, load_models
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
-from salpcc.stages.predict.neighbours import laser_table
-from salpcc.stages.residual_code import (
-    class_coder,
-    correction_coder,
-    intensity_coder,
-    level_coder,
-    mask_coder,
+from salpcc.stages.predict.static.coder import (
+    decode_intensities,
+    decode_levels,
+    encode_intensities,
+    encode_levels,
 )
+from salpcc.stages.predict.static.tables import StaticTables, shipped
+from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
+from salpcc.stages.residual_code.buffer import run_encoder
 from salpcc.stages.residual_code.interval_coder import encode_intervals
 from salpcc.stages.residual_code.range_coder import new_bits
 
@@ -33,70 +34,52 @@ Bytes = NDArray[np.uint8]
 Starts = NDArray[np.int64]
 Ticks = NDArray[np.int32]
 Before = WarpedSweep | None
-NO_WEIGHTS = bytes(8)
 
 
 class ValueModels(Protocol):
-    """Codes range levels and intensities; encoders return bytes written (-1: no room), decoders success."""
+    """Codes range levels and intensities; decoders tell whether the data made sense."""
 
     @property
     def weights(self) -> bytes: ...
 
-    def encode_levels(self, sweep: Sweep, starts: Starts, predicted: Prediction, out: Bytes) -> int: ...
+    def encode_levels(self, sweep: Sweep, predicted: Prediction) -> bytes: ...
     def decode_levels(
         self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
     ) -> tuple[Ticks, bool]: ...
-    def encode_intensity(
-        self, sweep: Sweep, starts: Starts, values: Bytes, predicted: Prediction, out: Bytes
-    ) -> int: ...
+    def encode_intensity(self, values: Bytes, predicted: Prediction) -> bytes: ...
     def decode_intensity(
         self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
     ) -> tuple[Bytes, bool]: ...
 
 
 @dataclass(frozen=True)
-class AdaptiveModels:
-    """Effort ``fast``: adaptive bits around the neighbours' prediction, learning through a GOP."""
+class StaticModels:
+    """Effort ``fast``: running means, and distributions from shipped tables."""
 
     sensor: SensorModel
-    weights: bytes = NO_WEIGHTS
-    levels: NDArray[np.uint16] = field(default_factory=lambda: new_bits(level_coder.CONTEXTS))
-    recent: NDArray[np.uint16] = field(default_factory=lambda: new_bits(level_coder.CONTEXTS_BEFORE))
-    intensity: NDArray[np.uint16] = field(default_factory=lambda: new_bits(intensity_coder.CONTEXTS))
-    by_laser: NDArray[np.uint16] = field(default_factory=lambda: new_bits(intensity_coder.LASER_CONTEXTS))
+    tables: StaticTables = field(default_factory=shipped)
 
-    def encode_levels(self, sweep: Sweep, starts: Starts, predicted: Prediction, out: Bytes) -> int:
-        assert predicted.level is not None and predicted.spread is not None
-        return int(
-            level_coder.encode_levels(
-                starts, sweep.count, predicted.level, predicted.spread, self.levels, self.recent, out
-            )
-        )
+    @property
+    def weights(self) -> bytes:
+        return bytes.fromhex(self.tables.digest)[:8]
+
+    def encode_levels(self, sweep: Sweep, predicted: Prediction) -> bytes:
+        assert predicted.residual is not None and predicted.level_context is not None
+        return encode_levels(predicted.level_context, predicted.residual, sweep.step, self.tables)
 
     def decode_levels(
         self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
     ) -> tuple[Ticks, bool]:
-        level, sound = level_coder.decode_levels(
-            starts, tick, step, laser_table(self.sensor), self.levels, self.recent, data
-        )
-        return level, bool(sound)
+        return decode_levels(starts, tick, step, self.sensor, self.tables, data)
 
-    def encode_intensity(
-        self, sweep: Sweep, starts: Starts, values: Bytes, predicted: Prediction, out: Bytes
-    ) -> int:
-        return int(
-            intensity_coder.encode_intensity(
-                starts, sweep.tick, sweep.count, values, self.intensity, self.by_laser, out
-            )
-        )
+    def encode_intensity(self, values: Bytes, predicted: Prediction) -> bytes:
+        assert predicted.intensity_context is not None
+        return encode_intensities(predicted.intensity_context, values, self.tables)
 
     def decode_intensity(
         self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
     ) -> tuple[Bytes, bool]:
-        values, sound = intensity_coder.decode_intensity(
-            starts, tick, level, self.intensity, self.by_laser, data
-        )
-        return values, bool(sound)
+        return decode_intensities(starts, tick, level, self.tables, data)
 
 
 @dataclass(frozen=True)
@@ -110,25 +93,21 @@ class NetworkModels:
     def weights(self) -> bytes:
         return bytes.fromhex(self.learned.digest)[:8]
 
-    def encode_levels(self, sweep: Sweep, starts: Starts, predicted: Prediction, out: Bytes) -> int:
-        assert predicted.range_interval is not None
-        header = range_model.HEADER
-        out[:header] = np.frombuffer(
-            range_model.count_levels(sweep.count).to_bytes(header, "little"), np.uint8
-        )
-        written = int(encode_intervals(predicted.range_interval, out[header:]))
-        return written + header if written >= 0 else -1
+    def encode_levels(self, sweep: Sweep, predicted: Prediction) -> bytes:
+        intervals = predicted.range_interval
+        assert intervals is not None
+        levels = range_model.count_levels(sweep.count).to_bytes(range_model.HEADER, "little")
+        return levels + run_encoder(lambda out: encode_intervals(intervals, out), len(intervals))
 
     def decode_levels(
         self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
     ) -> tuple[Ticks, bool]:
         return range_model.decode_ranges(starts, tick, step, self.sensor, self.learned.ranges, data, before)
 
-    def encode_intensity(
-        self, sweep: Sweep, starts: Starts, values: Bytes, predicted: Prediction, out: Bytes
-    ) -> int:
-        assert predicted.intensity_interval is not None
-        return int(encode_intervals(predicted.intensity_interval, out))
+    def encode_intensity(self, values: Bytes, predicted: Prediction) -> bytes:
+        intervals = predicted.intensity_interval
+        assert intervals is not None
+        return run_encoder(lambda out: encode_intervals(intervals, out), len(intervals))
 
     def decode_intensity(
         self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
@@ -158,7 +137,7 @@ class GopModels:
             self._values[effort] = (
                 NetworkModels(self.sensor, load_models(effort))
                 if effort in EFFORTS
-                else AdaptiveModels(self.sensor)
+                else StaticModels(self.sensor)
             )
         return self._values[effort]
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
 
-CODEC_VERSION = 2
-OLD_VERSIONS = (1,)  # that are still read
+CODEC_VERSION = 3
 EFFORTS = ("fast", "default", "max")
 STREAMS = (
     "mask",
@@ -55,7 +54,7 @@ class Payload:
 class Header:
     """What a decoder must know before the streams; counts are of kept points.
 
-    ``weights`` is the first 8 bytes of the digest of the learned models, zeros for effort ``fast``.
+    ``weights`` is the first 8 bytes of the digest of the learned models or of the tables.
     """
 
     flags: int
@@ -70,7 +69,6 @@ class Header:
     content_crc: int
     weights: bytes
     motion: NDArray[np.float64] | None
-    codec: int = CODEC_VERSION
 
 
 def content_crc(sweep: Sweep) -> int:
@@ -142,7 +140,7 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
         raise ArchiveError("payload is damaged (checksum differs)")
     fields = _FIXED.unpack_from(data)
     version, flags, effort, reserved, n_points, returns, strays, step = fields[:8]
-    if version != CODEC_VERSION and version not in OLD_VERSIONS:
+    if version != CODEC_VERSION:
         raise ArchiveError(f"payload has codec version {version}, this tool reads {CODEC_VERSION}")
     position = _FIXED.size
     motion = None
@@ -183,7 +181,6 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
         content_crc=fields[11],
         weights=fields[12],
         motion=motion,
-        codec=version,
     )
     streams = []
     for length in lengths:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,8 +20,9 @@ from salpcc.stages.ingest.publish import (
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.sweep_walk import supports
-from salpcc.stages.predict.neighbours import ring_starts
+from salpcc.stages.predict.rings import ring_starts
 from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
+from salpcc.stages.residual_code.buffer import run_encoder
 from salpcc.stages.residual_code.logged_scan import (
     decode_logged,
     decode_stray_classes,
@@ -45,27 +45,14 @@ from salpcc.stages.residual_code.payload import (
 )
 from salpcc.stages.residual_code.ray_coder import Layout
 from salpcc.stages.residual_code.stray_coder import (
-    decode_floats,
     decode_strays,
     encode_strays,
     plan,
 )
-from salpcc.stages.residual_code.stray_coder_1 import decode_strays_1
 from salpcc.stages.residual_code.value_coder import decode_values, encode_values
 
 Array = NDArray[np.uint8]
 _LENGTH = struct.Struct("<I")
-
-
-def _run(encode: Callable[[Array], int], values: int) -> bytes:
-    """Call an encoder with a buffer, a larger one if it was too small."""
-    size = 4 * values + 4096
-    while True:
-        out = np.empty(size, np.uint8)
-        written = encode(out)
-        if written >= 0:
-            return out[:written].tobytes()
-        size *= 4
 
 
 def encode_scan(
@@ -82,13 +69,13 @@ def encode_scan(
     flags = 0
     reach = [-1.0, -1.0]
     streams = [
-        _run(
+        run_encoder(
             lambda out: mask_coder.encode_mask(
                 starts, tick, sensor.shift, sensor.ticks_per_turn, models.firing, models.mask, out
             ),
             n,
         ),
-        _run(lambda out: values.encode_levels(sweep, starts, predicted, out), n),
+        values.encode_levels(sweep, predicted),
     ]
     if sweep.max_error == 0:
         model = unproject(sensor, sweep.laser, tick, level)
@@ -112,16 +99,16 @@ def encode_scan(
         streams.append(encode_intensity(sweep, sensor))
     elif levels is None:
         flags |= FLOAT_INTENSITY
-        streams.append(_run(lambda out: encode_values(sweep.intensity, (1, 0), out), n))
+        streams.append(run_encoder(lambda out: encode_values(sweep.intensity, (1, 0), out), n))
     else:
-        streams.append(_run(lambda out: values.encode_intensity(sweep, starts, levels, predicted, out), n))
+        streams.append(values.encode_intensity(levels, predicted))
     if intensity_is_field(sweep, levels):
         streams.append(b"")
     else:
-        streams.append(_run(lambda out: encode_values(sweep.stray_points[:, 3], layout, out), s))
+        streams.append(run_encoder(lambda out: encode_values(sweep.stray_points[:, 3], layout, out), s))
     if sweep.classes is not None and sweep.stray_classes is not None:
         flags |= CLASSES
-        returned = _run(
+        returned = run_encoder(
             lambda out: class_coder.encode_classes(starts, tick, sweep.classes, models.classes, out), n
         )
         of_strays = (
@@ -150,7 +137,7 @@ def _corrections(
 ) -> bytes:
     if reach < 0:
         return b""
-    return _run(
+    return run_encoder(
         lambda out: correction_coder.encode_corrections(distance, step, reach, codes, bits, out), len(codes)
     )
 
@@ -159,7 +146,7 @@ def _plain_classes(classes: Array, layout: Layout) -> bytes:
     """Classes of strays: length, values. Nothing without strays."""
     if not len(classes):
         return b""
-    stream = _run(lambda out: encode_values(classes.astype(np.float32), layout, out), len(classes))
+    stream = run_encoder(lambda out: encode_values(classes.astype(np.float32), layout, out), len(classes))
     return _LENGTH.pack(len(stream)) + stream
 
 
@@ -181,7 +168,6 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     """
     header, streams = unpack(data)
     values = models.known(header.effort, header.weights)
-    read_values = decode_floats if header.codec == 1 else decode_values
     if header.returns > sensor.n_lasers * sensor.ticks_per_turn:
         raise ArchiveError("payload has more returns than the sensor has firings")
     if header.effort != "fast" and not supports(sensor):
@@ -223,20 +209,17 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
                     *float32_boundary(points), header.ulp_reach, models.ulp, ulp
                 )
             )
-    if header.codec == 1:
-        places, points = checked(decode_strays_1(s, header.max_error, stray))
-    else:
-        moved = header.motion if n == 0 else None
-        places, points = checked(decode_strays(s, header.max_error, stray, sensor, moved))
+    moved = header.motion if n == 0 else None
+    places, points = checked(decode_strays(s, header.max_error, stray, sensor, moved))
     if as_field:
         intensities = np.zeros(n, np.float32)
     elif header.flags & FLOAT_INTENSITY:
-        intensities = checked(read_values(n, intensity))
+        intensities = checked(decode_values(n, intensity))
     else:
         intensities = INTENSITY_OF_LEVEL[
             checked(values.decode_intensity(starts, tick, count, header.step, before, intensity))
         ]
-    fourth = np.zeros(s, np.float32) if as_field else checked(read_values(s, stray_intensity))
+    fourth = np.zeros(s, np.float32) if as_field else checked(decode_values(s, stray_intensity))
     if s and (places[0] < 0 or places[-1] >= n + s or (np.diff(places) <= 0).any()):
         raise ArchiveError("payload does not decode")
     sweep = Sweep(
@@ -249,8 +232,6 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     if header.flags & CLASSES:
         if header.flags & CLOUD:
             stray_labels, used = decode_stray_classes(sweep, streams[7])
-        elif header.codec == 1:
-            stray_labels, used = classes[:s].copy(), s
         else:
             stray_labels, used = _read_plain_classes(s, classes)
         if len(stray_labels) < s:

@@ -1,4 +1,4 @@
-"""Label the sweeps of a GOP with the network, or the ground alone by geometry where nothing may be dropped."""
+"""Label the sweeps of a GOP with the network; where nothing may be dropped, only the paper's planes ask for the ground."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ _LONGEST_STEP = 250_000_000  # nanoseconds between scans that a turn's motion co
 
 
 def label_gop(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -> list[Sweep]:
-    """Return the sweeps with classes; those that have labels already keep them.
+    """Return the sweeps with the classes that the task asks for; those that have labels already keep them.
 
     Raises:
         WeightsError: the network is asked and its weights cannot be had.
     """
-    if all(sweep.classes is not None for sweep in sweeps):
+    unasked = config.keep_movable and config.profile == "sensor"
+    if unasked or all(sweep.classes is not None for sweep in sweeps):
         return list(sweeps)
     if not config.uses_network:
         return [

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.sweep import Sweep
@@ -15,7 +16,13 @@ from salpcc.stages.ingest.lattice import NO_CORRECTION, unproject
 from salpcc.stages.ingest.order import azimuth_keys, in_order
 from salpcc.stages.ingest.point_cloud import coordinate_rounding
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import middle_counts, source_places, sweep_to_scan
+from salpcc.stages.ingest.sweep import (
+    middle_counts,
+    return_places,
+    return_points,
+    source_places,
+    sweep_to_scan,
+)
 from salpcc.stages.ingest.untwist import twist
 from salpcc.stages.residual_code.stray_coder import snap
 
@@ -57,6 +64,19 @@ def counts_per_level(max_error: float, count: float) -> int:
     return max(1, int(np.floor(2.0 * (max_error - _ROUNDING) / count + 1.0 + 1e-9)))
 
 
+@njit(cache=True)
+def _distances(points: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Distance of each of the points ``(M, 3)`` to its twin."""
+    distances = np.empty(len(points))
+    for i in range(len(points)):
+        square = 0.0
+        for c in range(3):
+            off = np.float64(points[i, c]) - np.float64(others[i, c])
+            square += off * off
+        distances[i] = np.sqrt(square)
+    return distances
+
+
 def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
     """Return a lossless sweep quantised so that no point is farther than ``max_error`` from its source.
 
@@ -72,23 +92,30 @@ def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
     if max_error < _ROUNDING and len(sweep.laser):
         return sweep
     moved = sweep.motion if len(sweep.laser) == 0 else None
-    source = sweep_to_scan(sweep, sensor)
-    on, off = source_places(sweep, sensor)
+    source, by_file = return_points(sweep, sensor)
     step = counts_per_level(max_error, sensor.count)
     coarse = replace(sweep, step=step, max_error=max_error, count=(sweep.count // step).astype(np.int32))
     model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(coarse))
     points = (model if sweep.motion is None else twist(model, sweep.motion)).astype(np.float32)
-    error = np.sqrt(((points.astype(np.float64) - source.points[on]) ** 2).sum(axis=1))
-    fits = error <= max_error
+    fits = _distances(points, source) <= max_error
     # Coarser ranges turn a few points past their neighbours in azimuth: find those in file order.
-    by_file = np.argsort(on, kind="stable")
     candidates = by_file[fits[by_file]]
     in_place = in_order(sweep.laser[candidates].astype(np.int64), azimuth_keys(model)[candidates])
     fits[candidates[~in_place]] = False
 
     none = np.full(int(fits.sum()), NO_CORRECTION, np.uint8)
-    stray = np.sort(np.concatenate([off, on[~fits]]))
-    classes = source.classes
+    lost = np.flatnonzero(~fits)
+    places = np.empty(len(fits), np.int64)
+    places[by_file] = return_places(sweep)
+    stray = np.concatenate([sweep.stray_index, places[lost]])
+    in_turn = np.argsort(stray, kind="stable")
+    stray_points = np.concatenate(
+        [sweep.stray_points, np.column_stack([source[lost], sweep.intensity[lost]])]
+    )[in_turn]
+    stray_points[:, :3] = snap(stray_points[:, :3], max_error, sensor, moved)
+    classes = None
+    if sweep.classes is not None and sweep.stray_classes is not None:
+        classes = np.concatenate([sweep.stray_classes, sweep.classes[lost]])[in_turn]
     return replace(
         coarse,
         laser=sweep.laser[fits],
@@ -98,9 +125,7 @@ def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
         millimetre=none,
         ulp=none,
         classes=None if sweep.classes is None else sweep.classes[fits],
-        stray_index=stray,
-        stray_points=np.column_stack(
-            [snap(source.points[stray], max_error, sensor, moved), source.intensity[stray]]
-        ),
-        stray_classes=None if classes is None else classes[stray],
+        stray_index=stray[in_turn],
+        stray_points=stray_points,
+        stray_classes=classes,
     )

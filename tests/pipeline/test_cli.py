@@ -103,7 +103,7 @@ def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_
         (["map", "a.mcap", "--out", "m", "--voxel", "0"], ["--voxel"]),
         (["map", "a.mcap", "--out", "m", "--formats", "laz,obj"], ["--formats obj", "laz"]),
         (["train", "coder", "--data", "nowhere"], ["nowhere: not found"]),
-        (["train", "coder", "--data", ".", "--effort", "fast"], ["--effort fast", "default"]),
+        (["train", "coder", "--data", ".", "--effort", "fast"], ["no sweeps to train on"]),
         (["report", "nowhere"], ["no report there"]),
         (["calibrate", "nowhere", "--out", "s.json"], ["nowhere"]),
     ],
