@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.trig import TWO_PI, arctan2
+from salpcc.stages.ingest.untwist import BLOCK
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -27,9 +28,16 @@ def azimuth_key(x: float, y: float) -> float:
 @njit(cache=True, error_model="numpy")
 def azimuth_keys(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return :func:`azimuth_key` of points ``(M, 3)``."""
-    keys = np.empty(len(points))
-    for i in range(len(points)):
-        keys[i] = azimuth_key(points[i, 0], points[i, 1])
+    n = len(points)
+    keys = np.empty(n)
+    block = np.empty((2, BLOCK))
+    x, y = block[0], block[1]
+    for start in range(0, n, BLOCK):
+        size = min(BLOCK, n - start)
+        for i in range(size):
+            x[i], y[i] = points[start + i, 0], points[start + i, 1]
+        for i in range(size):
+            keys[start + i] = azimuth_key(x[i], y[i])
     return keys
 
 

@@ -20,12 +20,14 @@ _NEAR = 0.01  # metres from the cone; rounding and calibration explain 1 mm, las
 
 @njit(cache=True)
 def _nearest_laser(
-    raw: NDArray[np.int64], tangent: NDArray[np.float64], z0: NDArray[np.float64], near: float
-) -> NDArray[np.int64]:
-    """Laser whose cone is vertically nearest to each point, -1 where none is within ``near``."""
-    nearest = np.full(len(raw), -1, np.int64)
+    raw: NDArray[np.int64], usable: NDArray[np.bool_], tangent: NDArray[np.float64], z0: NDArray[np.float64]
+) -> NDArray[np.int16]:
+    """Laser whose cone is vertically nearest to each usable point, -1 where none is near."""
+    nearest = np.full(len(raw), -1, np.int16)
     guess = 0
     for i in range(len(raw)):
+        if not usable[i]:
+            continue
         x = raw[i, 0] / 1000.0
         y = raw[i, 1] / 1000.0
         z = raw[i, 2] / 1000.0
@@ -34,27 +36,46 @@ def _nearest_laser(
         if abs(z - z0[guess] - rho * tangent[guess]) < 0.002:
             nearest[i] = guess
             continue
-        best = near
+        best = _NEAR
         for k in range(len(tangent)):
             off = abs(z - z0[k] - rho * tangent[k])
             if off < best:
                 best = off
                 nearest[i] = k
         if nearest[i] >= 0:
-            guess = nearest[i]
+            guess = np.int64(nearest[i])
     return nearest
 
 
-def _homogeneous_runs(label: NDArray[np.int64], first: int) -> list[tuple[int, int]]:
+@njit(cache=True)
+def _turns(raw: NDArray[np.int64], usable: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Where the azimuth in [0, 2 pi) of a usable point is more than half a turn below that of the one before."""
+    cuts = []
+    x = y = np.int64(0)
+    for i in range(len(raw)):
+        if usable[i]:
+            # Into the upper half plane, and left of the line from the point before through the origin.
+            if y < 0 and raw[i, 1] >= 0 and x * raw[i, 1] - y * raw[i, 0] > 0:
+                cuts.append(i)
+            x, y = raw[i, 0], raw[i, 1]
+    return np.array(cuts, np.int64)
+
+
+@njit(cache=True)
+def _vote(label: NDArray[np.int16], lasers: int) -> tuple[int, int, int]:
+    """The commonest label (the lowest of equals), how many have it, and how many have any."""
+    counts = np.zeros(lasers, np.int64)
+    for i in range(len(label)):
+        if label[i] >= 0:
+            counts[label[i]] += 1
+    return counts.argmax(), counts.max(), counts.sum()
+
+
+def _runs(label: NDArray[np.int16], first: int) -> list[tuple[int, int]]:
     """Cut a stretch that holds several rings where one label gives way to another.
 
     Happens when a ring is so short that the next one starts at a higher azimuth (cropped clouds).
     """
-    known = label[label >= 0]
-    if len(known) == 0:
-        return []
-    if (known == np.bincount(known).argmax()).mean() > 0.9:
-        return [(first, first + len(label))]
     change = np.flatnonzero(np.diff(label) != 0) + 1
     bounds = [0, *change.tolist(), len(label)]
     return [(first + a, first + b) for a, b in pairwise(bounds)]
@@ -69,22 +90,15 @@ def assign_lasers(
     that order is left to the strays. Points that are not ``usable`` get -1.
     """
     laser = np.full(len(raw), -1, np.int64)
-    where = np.flatnonzero(usable)
-    if len(where) == 0:
-        return laser
-    points = raw[where]
-    azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
-    cuts = np.flatnonzero(np.diff(azimuth) < -np.pi) + 1
-    nearest = _nearest_laser(points, np.tan(sensor.theta), sensor.z0, _NEAR)
-    bounds = [0, *cuts.tolist(), len(points)]
+    nearest = _nearest_laser(raw, usable, np.tan(sensor.theta), sensor.z0)
     last = -1
-    for begin, end in pairwise(bounds):
-        for a, b in _homogeneous_runs(nearest[begin:end], begin):
-            votes = nearest[a:b][nearest[a:b] >= 0]
-            if len(votes) == 0:
-                continue
-            k = int(np.bincount(votes).argmax())
-            if k >= last:
-                laser[where[a:b]] = k
+    for begin, end in pairwise([0, *_turns(raw, usable).tolist(), len(raw)]):
+        _, most, known = _vote(nearest[begin:end], sensor.n_lasers)
+        runs = [(begin, end)] if most > 0.9 * known else _runs(nearest[begin:end], begin)
+        for a, b in runs:
+            k, votes, _ = _vote(nearest[a:b], sensor.n_lasers)
+            if votes and k >= last:
+                laser[a:b] = k
                 last = k
+    laser[~usable] = -1
     return laser
