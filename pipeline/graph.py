@@ -24,6 +24,7 @@ from distributed.scheduler import KilledWorker
 from salpcc.pipeline.digests import all_known, recall
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.progress import Report
+from salpcc.pipeline.records import recorded
 from salpcc.pipeline.sequence import (
     archive_path,
     baseline_gop,
@@ -31,7 +32,6 @@ from salpcc.pipeline.sequence import (
     finish,
     finished,
     known_files,
-    recorded,
 )
 from salpcc.pipeline.store import ShardStore
 from salpcc.pipeline.tasks import GopResult, run_stage, source_digest

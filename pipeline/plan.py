@@ -6,11 +6,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from salpcc.pipeline.records import recorded
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.schemas.work import GopSource, Known, ScanError, ScanRef
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.ingest.sources.bag import Bag
+from salpcc.stages.ingest.sources.bag import Bag, find_log, log_mark
 
 
 @dataclass(frozen=True)
@@ -28,9 +29,11 @@ class SequencePlan:
 
 
 def plan_run(
-    root: Path, sequences: list[str], config: RunConfig
+    root: Path, sequences: list[str], config: RunConfig, out: Path | None = None
 ) -> tuple[list[SequencePlan], list[ScanError]]:
     """List the work. A sequence that is missing is an error of its own; the others go on.
+
+    What is on record in ``out`` of a log that has not changed since spares going through it.
 
     Raises:
         UsageError: the root is missing, or none of the sequences is there.
@@ -44,10 +47,7 @@ def plan_run(
     missing: list[ScanError] = []
     for sequence in sequences:
         try:
-            listed = (
-                Bag().scans(root, sequence, config.topics) if config.topics else source.scans(root, sequence)
-            )
-            refs = select(listed, config.frames)
+            refs = select(_scans(root, sequence, config, out), config.frames)
             if not refs:
                 raise SourceError(f"{root}: sequence {sequence} has no scans in the frames asked for")
         except SourceError as error:
@@ -62,6 +62,15 @@ def plan_run(
             f"{missing[0].reason} (sequences there: {there}; to try without data: --source simulated)"
         )
     return plans, missing
+
+
+def _scans(root: Path, sequence: str, config: RunConfig, out: Path | None) -> list[ScanRef]:
+    if config.source != Bag.name:
+        return SOURCES[config.source].scans(root, sequence)
+    record = recorded(out, sequence) if out else {}
+    log = find_log(root, sequence)
+    same = log_mark(log) == record.get("files", {}).get(log.name, ("",))[0]
+    return Bag().scans(root, sequence, config.topics, record.get("clouds") if same else None)
 
 
 def missing_root(root: Path, source: str) -> str:

@@ -74,12 +74,12 @@ def run_sequences(request: RunRequest) -> RunResult:
     started = datetime.now(UTC)
     with ExitStack() as stack:
         if config.source != "simulated":
-            plans, missing = plan_run(root, request.sequences, config)
+            plans, missing = plan_run(root, request.sequences, config, request.out)
             stack.enter_context(locked(request.out))
         else:
             stack.enter_context(locked(request.out))
             _simulate(root, request.sequences, config, request.quiet)
-            plans, missing = plan_run(root, request.sequences, config)
+            plans, missing = plan_run(root, request.sequences, config, request.out)
         ShardStore(request.out).sweep()
         with atomic(request.out / "config.json") as stream:
             stream.write(json.dumps(config.model_dump(mode="json"), indent=1).encode() + b"\n")

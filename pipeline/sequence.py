@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import resource
 import zlib
 from collections.abc import Iterator
@@ -18,11 +17,12 @@ from salpcc.pipeline.digests import digest_scan
 from salpcc.pipeline.encode import payloads_of
 from salpcc.pipeline.logs import passing_log
 from salpcc.pipeline.plan import SequencePlan
+from salpcc.pipeline.records import write_record
 from salpcc.pipeline.store import ShardStore
 from salpcc.pipeline.tasks import VERSIONS, GopResult, lost
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
-from salpcc.schemas.files import atomic, unreachable
+from salpcc.schemas.files import unreachable
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import list_array
 from salpcc.schemas.work import GopSource, Known, ScanRef, ShardRef, digest_of
@@ -32,11 +32,11 @@ from salpcc.stages.evaluate.baselines import BASELINES, measure
 from salpcc.stages.evaluate.baselines.apart import measure_scans
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.ingest.sources.bag import clouds_of
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanPayload
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_writer import write_archive
 
-RECORD_VERSION = 1
 _warm: set[str] = set()  # efforts that this process has decoded
 
 
@@ -45,24 +45,10 @@ def archive_path(out: Path, sequence: str) -> Path:
     return out / "archives" / f"{sequence}.mcap"
 
 
-def record_path(out: Path, sequence: str) -> Path:
-    """Where the record of a sequence lies: digests, errors and times of the run that made its archive."""
-    return out / "records" / f"{sequence}.json"
-
-
 def inputs_digest(plan: SequencePlan, results: list[GopResult], config: RunConfig) -> str:
     """Digest what an archive is made of; ``results`` are those of :func:`source_digest`, or of later stages, by GOP."""
     source = plan.gops[0].source
     return digest_of(plan.sequence, source, config.digest, [result.origin for result in results])
-
-
-def recorded(out: Path, sequence: str) -> dict[str, Any]:
-    """Return the record of a sequence; empty where there is none that can be read."""
-    try:
-        record = json.loads(record_path(out, sequence).read_text())
-    except (OSError, ValueError):
-        return {}
-    return dict(record) if record.get("version") == RECORD_VERSION else {}
 
 
 def finished(
@@ -82,7 +68,7 @@ def finished(
     if any(error["stage"] != "ingest" for error in record["errors"]):
         return False
     if any(result.learned for result in results):  # files were touched, and hold what they held
-        _write_record(record | {"files": known_files(plan, results)}, out, plan.sequence)
+        write_record(record | {"files": known_files(plan, results)}, out, plan.sequence)
     return True
 
 
@@ -90,9 +76,9 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
     """Write the record of a sequence, then its archive from the payload shards; return the record."""
     store = ShardStore(out)
     record: dict[str, Any] = {
-        "version": RECORD_VERSION,
         "inputs": inputs_digest(plan, results, config),
         "files": known_files(plan, results),
+        "clouds": {} if config.frames else clouds_of(ref for gop in plan.gops for ref in gop.scans),
         "errors": [],
         "times": [],
         "peak_mb": 0.0,
@@ -104,7 +90,7 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
         facts = store.facts(dict(result.shards)["residual_code"])
         record["times"] += [[gop.number, *row] for row in facts["times"]]
         record["peak_mb"] = max(record["peak_mb"], facts["peak_mb"])
-    _write_record(record, out, plan.sequence)
+    write_record(record, out, plan.sequence)
     facts_ = ArchiveFacts(
         plan.sequence, plan.gops[0].source, record["inputs"], config.coding, load_sensor(config.sensor)
     )
@@ -120,11 +106,6 @@ def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out:
 def known_files(plan: SequencePlan, results: list[GopResult]) -> Known:
     """What the next run may know of the files without reading them."""
     return plan.known | {name: known for result in results for name, known in result.learned.items()}
-
-
-def _write_record(record: dict[str, Any], out: Path, sequence: str) -> None:
-    with atomic(record_path(out, sequence)) as stream:
-        stream.write(json.dumps(record).encode())
 
 
 def _payloads(store: ShardStore, result: GopResult, dropped: ShardRef) -> list[ScanPayload]:

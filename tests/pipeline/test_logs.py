@@ -30,6 +30,7 @@ from salpcc.schemas.errors import SourceError
 from salpcc.stages.ingest.lattice import unproject
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.sources.bag import Bag, digest_log, find_log, open_log
+from salpcc.stages.ingest.sources.mcap_log import McapLog
 
 CLOUD, TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
 START = 1_600_000_000_000_000_000
@@ -331,15 +332,21 @@ def test_reports_and_verifies_like_any_run(logs: Path, coded: Path) -> None:
         assert verdict.passed_messages == (10 if name == "bare" else 9)
 
 
-def test_a_second_run_reads_no_log_for_its_digest(
+def test_a_second_run_goes_through_no_log(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read: list[Path] = []
     monkeypatch.setattr(digests, "digest_log", lambda path: read.append(path) or digest_log(path))
     monkeypatch.setattr(marks, "_REST", 0)
-    for _ in range(2):
-        assert not run_logs(logs, tmp_path, ["bare", "sqlite"]).failed
-        assert read == [logs / "bare.mcap", logs / "sqlite"]
+    went, walk = [], McapLog.messages
+    monkeypatch.setattr(McapLog, "messages", lambda log, *wanted: went.append(1) or walk(log, *wanted))
+    for topics, expected in (
+        ((), 2),
+        ((), 2),
+        (("/map",), 4),
+    ):  # to list clouds, to write what passes through
+        assert not run_logs(logs, tmp_path, ["bare", "sqlite"], topics=topics).failed
+        assert read == [logs / "bare.mcap", logs / "sqlite"] and len(went) == expected
 
 
 @pytest.mark.parametrize(

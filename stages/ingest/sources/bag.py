@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from salpcc.stages.ingest.point_cloud import message_to_scan
 from salpcc.stages.ingest.sources.mcap_log import McapLog
 from salpcc.stages.ingest.sources.ros_log import RosLog
 
+Clouds = dict[str, list[tuple[int, tuple[int, ...]]]]  # by topic, the time of each and its place in the log
+
 
 class Bag:
     """Point clouds (``sensor_msgs/PointCloud2``) of recorded logs, one topic or several."""
@@ -34,10 +37,13 @@ class Bag:
             return [root.stem]
         return sorted({path.stem for path in root.iterdir() if _is_log(path)}) if root.is_dir() else []
 
-    def scans(self, root: Path, sequence: str, topics: tuple[str, ...] = ()) -> list[ScanRef]:
+    def scans(
+        self, root: Path, sequence: str, topics: tuple[str, ...] = (), listed: Clouds | None = None
+    ) -> list[ScanRef]:
         """List the clouds of a log by topic and time; ``topics``: of these only.
 
-        With one topic a scan is named by its number, with more by its topic, too.
+        With one topic a scan is named by its number, with more by its topic, too. ``listed`` is what
+        :func:`clouds_of` said of this very log; where it has the same topics, the log is not gone through again.
         """
         path = find_log(root, sequence)
         log = open_log(path)
@@ -52,9 +58,12 @@ class Bag:
             )
         chosen = [topic for topic in there if topic in topics or not topics]
         wanted = {id_ for id_, topic in clouds.items() if topic in chosen}
-        found: dict[str, list[tuple[int, tuple[int, ...]]]] = {topic: [] for topic in chosen}
-        for message in log.messages(wanted):
-            found[clouds[message.channel]].append((message.log_time, message.at))
+        found: Clouds = {topic: [] for topic in chosen}
+        if listed and sorted(listed) == chosen:
+            found = {topic: [(time, tuple(at)) for time, at in listed[topic]] for topic in chosen}
+        else:
+            for message in log.messages(wanted):
+                found[clouds[message.channel]].append((message.log_time, message.at))
         slugs = _slugs(chosen)
         return [
             ScanRef(f"{slugs[topic]}{n:06d}", n, str(path), time, topic=topic, at=at)
@@ -73,6 +82,15 @@ class Bag:
             return message_to_scan(message, channel.encoding, ref.topic, ref.name)
         except LayoutError as error:
             raise SourceError(f"{ref.path}: {ref.topic}, message {ref.number}: {error}") from error
+
+
+def clouds_of(refs: Iterable[ScanRef]) -> Clouds:
+    """Say by topic where the clouds of a log are; nothing of scans that are files."""
+    found: Clouds = {}
+    for ref in refs:
+        if ref.topic:
+            found.setdefault(ref.topic, []).append((ref.time, ref.at))
+    return found
 
 
 def open_log(path: Path) -> Log:
