@@ -173,4 +173,6 @@ def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:
         classes = np.empty(len(sweep), np.uint8)
         classes[on] = sweep.classes[order]
         classes[off] = sweep.stray_classes
-    return Scan(sweep.name, points, intensity, sweep.time, sweep.frame_id, classes, sweep.motion, sweep.cloud)
+    # That of a sweep without returns is by place in the list, which a scan's is not.
+    motion = sweep.motion if len(sweep.laser) else None
+    return Scan(sweep.name, points, intensity, sweep.time, sweep.frame_id, classes, motion, sweep.cloud)

@@ -104,7 +104,7 @@ def guess_inverse(i, place, upper, lower, ticks, azimuth, inverse, links, beside
     # The plane through the neighbours, but never beyond them (LOCO-I).
     guess[7] = max(min(guess[0], guess[2]), min(max(guess[0], guess[2]), guess[3]))
     total = mean = spread = 0.0
-    low, high = guess[0], guess[0]
+    low, high = 10.0, 1.0 / 1000.0
     for p in range(len(guess)):
         guess[p] = min(max(guess[p], 1.0 / 1000.0), 10.0)
         low, high = min(low, guess[p]), max(high, guess[p])

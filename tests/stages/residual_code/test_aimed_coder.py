@@ -1,5 +1,6 @@
 """Points of a calibrated sensor: exact or within the bound in any order, and in far fewer bits than on guessed rays."""
 
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -145,6 +146,23 @@ def test_real_sweep_gains(real_data) -> None:
     data = encode_strays(sweep.stray_index, plan(snapped, 0.01, model, sweep.motion))
     assert 8 * len(data) / len(points) < 4.6  # on guessed rays: 8.6
     assert np.linalg.norm(snapped.astype(np.float64) - points, axis=1).max() <= 0.01
+
+
+@pytest.mark.parametrize(("max_error", "digest"), [(0.0, 3686094623), (0.01, 1044382703)])
+def test_bytes_stay_what_they_are(max_error: float, digest: int) -> None:
+    """Golden bytes, of numbers that every machine makes alike: a change here is a change of the format."""
+    none = np.zeros(8)
+    theta = np.array([0.2, 0.15, 0.1, 0.05, 0.0, -0.05, -0.1, -0.15])
+    fixed = SensorModel("fixed", 720, 0.004, theta, none, none + 0.001, none, none, np.zeros(8, np.int64))
+    laser, tick = np.tile(np.arange(8), 120), np.repeat(np.arange(120) * 6, 8)
+    count = 2000 + 7 * laser + np.abs(tick - 300) + (tick * 37 + laser * 11) % 13
+    still = unproject(fixed, laser.astype(np.uint8), tick.astype(np.int32), count.astype(np.int32))
+    points = redo(still, places(960, 8), MOTION).astype(np.float32)
+    points[::31] += np.float32(0.25)
+    points = snap(points, max_error, fixed, MOTION)
+    data = encode_strays(np.arange(960), plan(points, max_error, fixed, MOTION))
+    assert data[4] == AIMED
+    assert zlib.crc32(data) == digest
 
 
 @settings(max_examples=40, deadline=None)
