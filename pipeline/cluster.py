@@ -14,14 +14,15 @@ from distributed import Client, LocalCluster, Worker
 from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import UsageError
 
-# One thread a worker, so that workers scale. Arrays below 16 MB come from memory that is kept: asked of the system
-# one by one, as with Dask's settings, their pages cost as much time as the network that fills them.
+# One thread a worker, so that workers scale. Arrays below 16 MB come from memory that is kept, up to 64 MB of it:
+# asked of the system one by one, as with Dask's settings, their pages cost as much time as the network that fills them.
 _WORKER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
     "MALLOC_MMAP_THRESHOLD_": "16777216",
+    "MALLOC_TRIM_THRESHOLD_": "67108864",
 }
 
 
