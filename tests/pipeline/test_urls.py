@@ -17,10 +17,11 @@ from salpcc.pipeline import Archive, tasks
 from salpcc.pipeline.cli import app, main
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph import GraphOptions
+from salpcc.pipeline.lock import locked
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.config import RunConfig
-from salpcc.schemas.errors import SalpccError, SourceError
+from salpcc.schemas.errors import LockedError, SalpccError, SourceError
 from salpcc.schemas.files import atomic, location
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.stages.ingest.sources.bag import open_log
@@ -151,6 +152,12 @@ def test_a_log_is_read_and_written_at_urls(store: Store, toy_root: Path) -> None
     (there := location(f"{BUCKET}/logs/drive.bag")).write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(SourceError, match="only MCAP is read from a URL"):
         open_log(there)
+
+
+def test_two_runs_on_one_url_are_refused(there: Path, toy_root: Path, run: Run) -> None:
+    with locked(there), pytest.raises(LockedError, match="another run"):
+        run(toy_root, there, "00", effort="fast")
+    assert not (there / ".lock").exists()
 
 
 def test_an_open_archive_can_be_forked(there: Path) -> None:

@@ -43,8 +43,13 @@ def test_shipped_manifest_has_the_splits_of_the_paper() -> None:
 
 def test_root_is_relative_to_the_manifest(tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
-    path.write_text("sources: {semantickitti: {description: d, root: data}}")
-    assert load_manifest(path).sources["semantickitti"].root == str(tmp_path / "data")
+    for root, found in (
+        ("data", str(tmp_path / "data")),
+        ("memory://data", "memory://data"),
+        ("/data", "/data"),
+    ):
+        path.write_text(f"sources: {{semantickitti: {{description: d, root: '{root}'}}}}")
+        assert load_manifest(path).sources["semantickitti"].root == found
 
 
 @pytest.mark.parametrize("text", ["[1, 2", "sources: 3", "unknown: 1", "\x00"])
