@@ -7,8 +7,9 @@ number, row, place in the file or in a firing, or from the top down.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +88,9 @@ def _guesses(scans: list[Listed]) -> Iterator[tuple[list[NDArray[np.int64]], int
     for found in sorted(ways, key=lambda found: _spread(scans, found)):
         common = int(np.bincount([int(k.max()) + 1 for k in found]).argmax())
         yield [k if k.max() + 1 == common else np.full(len(k), -1) for k in found], 0
-    yield _by_elevation(scans), 0
+    # Near points tell lasers that look down from their neighbours, unless the lasers sit far apart.
+    ways = [_by_elevation(scans, nearest) for nearest in (_FAR, _FAR / 2)]
+    yield min(ways, key=lambda found: _spread(scans, found, _FAR / 2, np.mean)), 0
 
 
 def _kept(scan: Listed, laser: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -131,7 +134,7 @@ def find_firing(points: NDArray[np.float64]) -> int:
     return smallest if apart[best] < 0.2 * np.nanmedian(apart) else 0
 
 
-def _by_elevation(scans: list[Listed]) -> list[NDArray[np.int64]]:
+def _by_elevation(scans: list[Listed], nearest: float) -> list[NDArray[np.int64]]:
     """The peak of the elevations of all scans that a point is nearest to, top first."""
     cells = [
         np.nan_to_num((np.degrees(np.arctan(_slopes(s.points))) + 90.0) * _PER_DEGREE).astype(np.int64)
@@ -139,7 +142,7 @@ def _by_elevation(scans: list[Listed]) -> list[NDArray[np.int64]]:
     ]
     counts = np.zeros(180 * _PER_DEGREE + 1)
     for scan, cell in zip(scans, cells, strict=True):
-        far = scan.seen & (np.nan_to_num(np.hypot(*scan.points[:, :2].T)) > _FAR)
+        far = scan.seen & (np.nan_to_num(np.hypot(*scan.points[:, :2].T)) > nearest)
         counts += np.bincount(cell[far], minlength=len(counts))
     reach = np.arange(-3 * _SMOOTH, 3 * _SMOOTH + 1)
     smooth = np.convolve(counts, np.exp(-0.5 * (reach / _SMOOTH) ** 2), "same")
@@ -161,11 +164,16 @@ def _slopes(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(ground > NEAREST, points[:, 2] / ground, np.nan)
 
 
-def _spread(scans: list[Listed], found: list[NDArray[np.int64]]) -> float:
-    """Median over the lasers of how far half of the slopes of a laser's far points reach."""
+def _spread(
+    scans: list[Listed],
+    found: list[NDArray[np.int64]],
+    nearest: float = _FAR,
+    over: Callable[[list[float]], np.floating[Any]] = np.median,
+) -> float:
+    """Median (or another summary) over the lasers of how far half of the slopes of a laser's points reach."""
     slopes, lasers = [], []
     for scan, laser in zip(scans, found, strict=True):
-        ok = (laser >= 0) & (np.nan_to_num(np.hypot(*scan.points[:, :2].T)) > _FAR)
+        ok = (laser >= 0) & (np.nan_to_num(np.hypot(*scan.points[:, :2].T)) > nearest)
         slopes.append(_slopes(scan.points)[ok])
         lasers.append(laser[ok])
     slope, laser = np.concatenate(slopes), np.concatenate(lasers)
@@ -173,4 +181,4 @@ def _spread(scans: list[Listed], found: list[NDArray[np.int64]]) -> float:
         return np.inf
     order = np.lexsort((slope, laser))
     parts = np.split(slope[order], np.flatnonzero(np.diff(laser[order])) + 1)
-    return float(np.median([p[3 * len(p) // 4] - p[len(p) // 4] for p in parts]))
+    return float(over([p[3 * len(p) // 4] - p[len(p) // 4] for p in parts]))

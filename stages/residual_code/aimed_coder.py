@@ -60,6 +60,8 @@ def code_aimed(  # type: ignore[no-untyped-def]
 ):
     """Write or read ``S`` points: ``points (S, 3)`` float32, kinds, lasers, ticks, levels ``(S,)``.
 
+    Writing, points are overwritten by what a reader will have.
+
     Args:
         form, per: of corrections, where ``exact``. ``step`` counts make a level.
         reach: 0; above 0 a tick becomes the expected one where that leaves a point within so many metres of ``points``, and what
@@ -209,7 +211,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 points[i, c] = coordinate_of(whole + number, form, per)
                 if moving:  # six numbers leave a little of a motion, and it changes slowly
                     drift[same, c] = min(max(np.float64(points[i, c]) - model, -1.0), 1.0)
-        elif not writing:
+        else:
             points[i, 0], points[i, 1], points[i, 2] = x, y, z
         if kind == AIMED:
             recent = i

@@ -78,16 +78,19 @@ def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
     names = ("points", "kinds", "laser", "tick", "level")
     first = Aimed(*(getattr(aimed, name)[part].copy() for name in names))
     out = np.empty(32 * len(first.points) + 4096, np.uint8)
-    return write_aimed(first, np.ascontiguousarray(points[part]), sensor, way, out)
+    written = write_aimed(first, np.ascontiguousarray(points[part]), sensor, way, out)
+    return written if written >= 0 else len(out)
 
 
 def write_body(
     chosen: tuple[Way, Aimed], points: F32, sensor: SensorModel, write_rest: Callable[[F32], bytes]
-) -> bytes:
-    """Encode points ``(S, 3)``; ``write_rest`` encodes those off the lattice."""
+) -> bytes | None:
+    """Encode points ``(S, 3)``; ``write_rest`` encodes those off the lattice. None where a reader would have other points."""
     way, aimed = chosen
     out = np.empty(32 * len(points) + 4096, np.uint8)
     written = write_aimed(aimed, points, sensor, way, out)
+    if written < 0:
+        return None
     off = aimed.kinds == OFF
     head = _BODY.pack(way.form, way.step, int(off.sum()), written)
     return (

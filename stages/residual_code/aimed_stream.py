@@ -18,6 +18,7 @@ from salpcc.stages.residual_code.aimed_coder import MAX_LEVEL, NAN_BITS, code_ai
 from salpcc.stages.residual_code.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
 from salpcc.stages.residual_code.range_coder import finish_encoder, start_decoder, start_encoder
 from salpcc.stages.residual_code.ray_coder import F32, Layout
+from salpcc.stages.residual_code.ray_forms import GRID
 
 EXACT_REACH = 0.005  # metres; what is farther from the lattice costs less off it
 _ROUNDING = 1e-5  # metres, more than float32 rounds points by
@@ -62,9 +63,10 @@ def step_of(max_error: float, sensor: SensorModel) -> int:
 def put(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
     """Put points ``(S, 3)`` on the lattice where that moves them by ``reach`` metres at most; 0: by no bit. Others are of kind OFF."""
     wide = points.astype(np.float64)
+    still = wide
     if way.motion is not None:
-        wide = undo(wide, places(len(points), way.layout[0]), np.array(way.motion))
-    laser, tick, count, _ = aim(sensor, wide)
+        still = undo(wide, places(len(points), way.layout[0]), np.array(way.motion))
+    laser, tick, count, _ = aim(sensor, still)
     level = np.clip(count // way.step, 0, MAX_LEVEL)
     known = np.maximum(laser, 0).astype(np.uint8)
     model, origin = _decoded(known, tick, level, sensor, way)
@@ -75,6 +77,10 @@ def put(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
     else:
         kinds[_within(points, origin, reach)] = ZERO
     kinds[(bits == NAN_BITS).all(axis=1)] = NAN
+    if way.form == GRID:  # what is no whole unit, or is a -0.0, no correction makes
+        with np.errstate(over="ignore"):
+            whole = (np.rint(np.nan_to_num(wide) * way.per) / way.per + 0.0).astype(np.float32)
+        kinds[(kinds != NAN) & (whole.view(np.int32) != bits).any(axis=1)] = OFF
     moved = points.copy()
     moved[kinds == AIMED] = model[kinds == AIMED]
     moved[kinds == ZERO] = origin[kinds == ZERO]
@@ -114,9 +120,16 @@ def _decoded(
 
 
 def write_aimed(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, out: NDArray[np.uint8]) -> int:
-    """Write ``points`` whose lattice places are ``aimed``; return the bytes written to ``out``, -1 if full."""
+    """Write ``points`` whose lattice places are ``aimed``; return the bytes written to ``out``.
+
+    -1: ``out`` is full, or a reader would have other points.
+    """
     state = start_encoder()
-    _code(True, points.copy(), aimed, sensor, way, 0.0, state, out)
+    told = points.copy()
+    _code(True, told, aimed, sensor, way, 0.0, state, out)
+    on = aimed.kinds != OFF
+    if (told.view(np.int32)[on] != points.view(np.int32)[on]).any():
+        return -1
     return int(finish_encoder(state, out))
 
 

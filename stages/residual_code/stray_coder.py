@@ -127,6 +127,8 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
         return encode_strays(np.arange(len(off)), plan(off, found.max_error))
 
     body = write_body(found.chosen, found.points, found.sensor, rest)
+    if body is None:
+        return _on_rays(plan(found.points, found.max_error), first)
     coded = _HEAD.pack(len(first), AIMED, *way.layout, found.per) + first + body
     if (aimed.kinds != OFF).mean() >= _NO_DOUBT or found.form == ALONG:
         return coded

@@ -96,6 +96,18 @@ def test_what_is_off_the_lattice_keeps_its_place(fan: SensorModel, rows: Points,
     assert snapped[~finite].tobytes() == points[~finite].tobytes()
 
 
+def test_firings_rounded_to_millimetres(fan: SensorModel, rows: Points) -> None:
+    """Whole millimetres are corrected as such; a coordinate of -0.0 is no whole number of anything."""
+    points = (np.rint(in_order(rows, "firings, returns") * 1000.0) / 1000.0).astype(np.float32)
+    points[::100, 1] = -0.0
+    data = encode_strays(np.arange(len(points)), plan(points, 0.0, fan))
+    _, decoded, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), fan)
+    assert sound
+    assert decoded.tobytes() == points.tobytes()
+    assert data[4] == AIMED
+    assert len(data) < 0.8 * len(encode_strays(np.arange(len(points)), plan(points, 0.0)))
+
+
 def test_another_sensor_changes_nothing(fan: SensorModel, sensor: SensorModel, rows: Points) -> None:
     points = in_order(rows, "firings")
     for max_error in (0.0, 0.005):
