@@ -89,13 +89,13 @@ def float32_boundary(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], 
     """Distance ``(M, 3)`` in nanometres to the nearest float32 rounding boundary, and the step across it."""
     distance = np.empty(points.shape)
     step = np.empty(points.shape, np.int8)
-    rounded = points.astype(np.float32)
-    following = (rounded.view(np.int32) & np.int32(0x7FFFFFFF)) + np.int32(1)
-    values, nearest, after = points.ravel(), rounded.ravel(), following.view(np.float32).ravel()
-    distances, steps = distance.ravel(), step.ravel()
+    values, distances, steps = points.ravel(), distance.ravel(), step.ravel()
     for i in range(len(values)):
-        off = values[i] - np.float64(nearest[i])
-        half = np.float64(after[i] - abs(nearest[i])) * 0.5
+        nearest = np.float32(values[i])
+        size = np.int32(nearest.view(np.int32) & np.int32(0x7FFFFFFF))
+        after = np.int32(size + np.int32(1)).view(np.float32)
+        off = values[i] - np.float64(nearest)
+        half = np.float64(after - size.view(np.float32)) * 0.5
         distances[i] = (half - abs(off)) * 1e9
         steps[i] = np.int8(1) if off > 0.0 else np.int8(-1)
     return distance, step

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
@@ -31,15 +32,15 @@ _MIN_SHARE = 0.2
 _MIN_POINTS_FOR_MOTION = 200
 
 
-def _fits_lattice(
+def _in_firing_order(
     laser: NDArray[np.int64], tick: NDArray[np.int32], key: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Mark points, in file order, that are the only ones of their firing and come back in their place."""
+) -> NDArray[np.int64]:
+    """Pick the points, given in file order, that are the only ones of their firing and come back in their place."""
     keep = in_order(laser, key)
     cell = (laser << 32) | tick
     order = np.argsort(cell, kind="stable")
     keep[order[1:][cell[order[1:]] == cell[order[:-1]]]] = False
-    return keep
+    return order[keep[order]]
 
 
 def _find_motion(
@@ -120,10 +121,9 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     laser = assign_lasers(sensor, raw, usable)
     tick, count, millimetre, ulp, key = measure(sensor, laser, raw, compensated, points)
     on = np.flatnonzero((millimetre >= 0) & (ulp >= 0))
-    on = on[_fits_lattice(laser[on], tick[on], key[on])]
+    on = on[_in_firing_order(laser[on], tick[on], key[on])]
     if len(on) < _MIN_SHARE * len(scan):
         return _all_strays(scan, sensor)
-    on = on[np.argsort((laser[on] << 32) | tick[on], kind="stable")]
     return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre[on], ulp[on])
 
 
@@ -158,15 +158,30 @@ def source_places(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.int64],
     return places, sweep.stray_index
 
 
+@njit(cache=True)
+def _arranged(
+    points: NDArray[np.float32],
+    intensity: NDArray[np.float32],
+    order: NDArray[np.int64],
+    places: NDArray[np.int64],
+    n: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Put points ``(M, 3)`` and intensities ``(M,)`` in their order on their places of ``n``."""
+    put, values = np.empty((n, 3), np.float32), np.empty(n, np.float32)
+    for i in range(len(order)):
+        source, place = order[i], places[i]
+        for c in range(3):
+            put[place, c] = points[source, c]
+        values[place] = intensity[source]
+    return put, values
+
+
 def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:
     """Return the scan of a sweep in file order: exact, or within its ``max_error``."""
     on, off = return_places(sweep), sweep.stray_index
     returned, order = return_points(sweep, sensor)
-    points = np.empty((len(sweep), 3), np.float32)
-    points[on] = returned[order]
+    points, intensity = _arranged(returned, sweep.intensity, order, on, len(sweep))
     points[off] = sweep.stray_points[:, :3]
-    intensity = np.empty(len(sweep), np.float32)
-    intensity[on] = sweep.intensity[order]
     intensity[off] = sweep.stray_points[:, 3]
     classes = None
     if sweep.classes is not None and sweep.stray_classes is not None:
