@@ -17,7 +17,7 @@ from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sweep import scan_to_sweep
 
-VERSION = 3
+VERSION = 4
 
 
 def run(gop: GopSource, config: RunConfig) -> pa.Table:

@@ -17,7 +17,7 @@ from salpcc.stages.residual_code.models import GopModels
 from salpcc.stages.residual_code.payload import Payload
 from salpcc.stages.residual_code.scan_coder import encode_scan
 
-VERSION = 6
+VERSION = 7
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:

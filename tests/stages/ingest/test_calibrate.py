@@ -97,8 +97,16 @@ def test_finds_simulated_sensors(lasers: int, low: float, high: float) -> None:
     assert share_exact(found) > 0.97
 
 
-@pytest.mark.parametrize(("ticks", "count"), [(36_000, 0.002), (1024, 0.001), (2048, 0.008)])
-@pytest.mark.parametrize("order", ["firings", "rings", "organised", "numbered"])
+@pytest.mark.parametrize(
+    ("ticks", "count", "order"),
+    [
+        (36_000, 0.002, "firings"),
+        (36_000, 0.002, "numbered"),
+        (1024, 0.001, "organised"),
+        (1024, 0.001, "rings"),
+        (2048, 0.008, "firings"),
+    ],
+)
 def test_finds_steps_in_any_order(ticks: int, count: float, order: str) -> None:
     truth, scan, laser = spinning(ticks, count)
     by_ring = np.argsort(laser, kind="stable")
