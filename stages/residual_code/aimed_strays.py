@@ -102,7 +102,7 @@ def read_body(
     n: int,
     layout: Layout,
     per: int,
-    max_error: float,
+    exact: bool,
     data: Array,
     sensor: SensorModel,
     motion: Motion,

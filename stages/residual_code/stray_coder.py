@@ -167,7 +167,14 @@ def decode_strays(
     if form == AIMED:
         assert sensor is not None
         points, whole = read_body(
-            n, (left, up), per, step, body, sensor, motion, lambda m, d: decode_strays(m, max_error, d)[1:]
+            n,
+            (left, up),
+            per,
+            step == 0.0,
+            body,
+            sensor,
+            motion,
+            lambda m, d: decode_strays(m, max_error, d)[1:],
         )
     else:
         points, whole = read_points(n, (left, up), form, per, step, body)
