@@ -4,6 +4,7 @@ import json
 import random
 import struct
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,11 +18,11 @@ from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
 from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.residual_code import archive_writer
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.archive_writer import ArchiveWriter, message_of, write_archive
 from salpcc.stages.residual_code.passing import PassingLog
 
-OLD = Path(__file__).parents[1] / "golden" / "old" / "fast_exact_1.0.mcap"
 NAMES = [f"{n:06d}" for n in range(5)]
 
 
@@ -189,11 +190,26 @@ def test_a_sensor_model_that_is_gone_is_replaced_by_its_digest_only(
     assert rescue(bad, flipped(data, 8 * at, config), sensor=load_sensor("hdl64e")).scans == 5
 
 
-def test_an_archive_of_version_1_0_is_recovered_too(bad: Path) -> None:
-    whole = OLD.read_bytes()
-    found = rescue(bad, whole[: starts(whole, 0x06)[1] + 60])
+def test_an_archive_of_version_1_0_is_recovered_too(
+    whole: Path, bad: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It names no scans before its chunks."""
+    attach = ArchiveWriter._attach
+    monkeypatch.setattr(
+        ArchiveWriter,
+        "_attach",
+        lambda self, name, content: name == "gop.json" or attach(self, name, content),
+    )
+    monkeypatch.setattr(archive_writer, "ARCHIVE_VERSION", "1.0")
+    monkeypatch.setattr(archive_writer, "message_of", partial(message_of, version="1.0"))
+    reader, old = ArchiveReader(whole), tmp_path / "old.mcap"
+    write_archive(old, reader.facts, [reader.payloads(gop) for gop in range(3)])
+    monkeypatch.undo()
+    data = old.read_bytes()
+    assert b"salpcc/1.0" in data and b"gop.json" not in data and verify(old).good
+    found = rescue(bad, data[: starts(data, 0x06)[1] + 60])
     assert (found.scans, found.gone) == (2, []) and not found.complete
-    same_scans(bad.with_name("new.mcap"), OLD, ["000000", "000001"])
+    same_scans(bad.with_name("new.mcap"), old, ["000000", "000001"])
 
 
 def test_other_topics_of_a_log_come_along(whole: Path, bad: Path) -> None:
