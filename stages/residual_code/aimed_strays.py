@@ -116,11 +116,7 @@ def read_body(
     end = _BODY.size + length
     if form > BITS or not 1 <= step <= _LARGEST_STEP or off > n or end > len(data):
         return nothing
-    if (
-        (form == ALONG) != (max_error > 0)
-        or (form != ALONG and step != 1)
-        or (motion is not None and layout[0] < 2)
-    ):
+    if (form != ALONG) != exact or (exact and step != 1) or (motion is not None and layout[0] < 2):
         return nothing
     moved = None if motion is None else tuple(motion.tolist())
     way = Way(layout, form, per, form != ALONG, step, moved)
