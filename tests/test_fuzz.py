@@ -22,9 +22,10 @@ from salpcc.stages.ingest.sources.bag import Bag
 
 FUZZ = Path(__file__).parent / "fuzz"
 READERS = (
-    "payload", "payload of another sensor", "payload of the paper profile", "archive", "archive, recovered", "shard", ".bin", ".pcd.bin", ".label",
+    "payload", "payload of another sensor", "payload of the paper profile", "archive", "archive, recovered", "shard",
+    ".bin", ".pcd.bin", ".label",
     "times.txt", "timestamps.txt", "poses.txt", "calib.txt", "manifest", "sensor model", "MCAP log", "ROS 1 bag",
-    "ROS 2 bag", "weights, segment", "weights, st_lstm", "weights, coder",
+    "ROS 2 bag", "weights, segment", "weights, st_lstm", "weights, coder", "weights, tables",
 )  # fmt: skip
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
