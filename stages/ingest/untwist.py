@@ -141,9 +141,6 @@ def _near_inverse(x: float, y: float, z: float, m: Motion) -> tuple[float, float
     qx, qy, _ = turned_back(x, y, z, s, m)
     t = (x * qy - y * qx) / (x * qx + y * qy)
     s += (s0 + t * (1.0 - t * t * (1.0 / 3.0)) * (1.0 / TWO_PI) - s) / (1.0 - c)
-    qx, qy, _ = turned_back(x, y, z, s, m)
-    t2 = (x * qy - y * qx) / (x * qx + y * qy)
-    s += (s0 + t2 * (1.0 - t2 * t2 * (1.0 / 3.0)) * (1.0 / TWO_PI) - s) / (1.0 - c)
     return turned_back(x, y, z, s, m)
 
 

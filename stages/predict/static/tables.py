@@ -37,7 +37,7 @@ class StaticTables:
     levels: NDArray[np.uint16]
     intensities: NDArray[np.uint16]
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 (hex) of the tables, whatever file they came from."""
         total = sha256()
