@@ -7,12 +7,17 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import dask
 from distributed import Client, LocalCluster, Worker
+from distributed.core import Status
+from tornado.ioloop import PeriodicCallback
 
 from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import UsageError
+
+_LOOK_EVERY = 1000.0  # milliseconds
 
 # One thread a worker, so that workers scale. Arrays below 16 MB come from memory that is kept, up to 64 MB of it:
 # asked of the system one by one, as with Dask's settings, their pages cost as much time as the network that fills them.
@@ -72,8 +77,30 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,
+        _kept_at(count, cluster),
     ):
         yield client
+
+
+@contextmanager
+def _kept_at(count: int, cluster: LocalCluster) -> Iterator[None]:
+    """Start workers anew that Dask gives up: one that dies while it starts takes its nanny with it, for good."""
+    if not count:
+        yield
+        return
+    callback = PeriodicCallback(partial(_refill, count, cluster), _LOOK_EVERY)
+    cluster.loop.add_callback(callback.start)
+    try:
+        yield
+    finally:
+        cluster.loop.add_callback(callback.stop)
+
+
+def _refill(count: int, cluster: LocalCluster) -> None:
+    for name, nanny in list(cluster.workers.items()):
+        if nanny.status in (Status.closed, Status.failed):
+            del cluster.workers[name]
+    cluster.scale(count)
 
 
 def dask_setup(_: Worker) -> None:

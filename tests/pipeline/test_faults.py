@@ -17,6 +17,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from salpcc.pipeline.cluster import connect
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.lock import locked
 from salpcc.pipeline.run import RunResult
@@ -184,6 +185,25 @@ def test_killed_workers_are_replaced(
     assert len(thread.done) == KILLS  # type: ignore[attr-defined]
     assert not result.failed
     assert archives(out) == archives(tmp_path / "whole")
+
+
+def test_workers_killed_while_they_start_are_replaced() -> None:
+    """Dask gives such workers up; with none left, a run would wait for ever."""
+
+    def fresh(known: set[int]) -> psutil.Process:
+        deadline = time.monotonic() + 300
+        while not (found := [w for w in workers() if w.pid not in known]):
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        return found[0]
+
+    with connect(1, None) as client:
+        known: set[int] = set()
+        for _ in range(3):
+            worker = fresh(known)
+            known.add(worker.pid)
+            worker.kill()
+        assert client.submit(sum, [1, 2]).result(timeout=300) == 3
 
 
 def test_a_scan_that_cannot_be_read_costs_itself(
