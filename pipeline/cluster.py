@@ -84,7 +84,7 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
 
 @contextmanager
 def _kept_at(count: int, cluster: LocalCluster) -> Iterator[None]:
-    """Start workers anew that Dask gives up: one that dies while it starts takes its nanny with it, for good."""
+    """Start workers anew that Dask gives up: one that died and is not back within 15 s, as on a busy machine."""
     if not count:
         yield
         return
