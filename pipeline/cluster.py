@@ -85,15 +85,16 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
 @contextmanager
 def _kept_at(count: int, cluster: LocalCluster) -> Iterator[None]:
     """Start workers anew that Dask gives up: one that died and is not back within 15 s, as on a busy machine."""
-    if not count:
+    loop = cluster.loop
+    if not count or loop is None:
         yield
         return
     callback = PeriodicCallback(partial(_refill, count, cluster), _LOOK_EVERY)
-    cluster.loop.add_callback(callback.start)
+    loop.add_callback(callback.start)
     try:
         yield
     finally:
-        cluster.loop.add_callback(callback.stop)
+        loop.add_callback(callback.stop)
 
 
 def _refill(count: int, cluster: LocalCluster) -> None:
