@@ -1,4 +1,4 @@
-"""Many scans through the whole graph: ``python tests/soak.py [--scans 2000] [--scaling 160] [--data ROOT]``.
+"""Many scans through the whole graph: ``python tests/soak.py [--scans 2000] [--scaling 800] [--data ROOT]``.
 
 Half of the scans are recorded ones (simulated ones where there are none) with returns left out at random and
 intensities off by 0.01 at random, so that no two are alike; half are simulated. Prints throughput, memory
@@ -96,7 +96,7 @@ def go(root: Path, out: Path, workers: int, scans: int) -> Use:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scans", type=int, default=2000)
-    parser.add_argument("--scaling", type=int, default=160, help="scans for one against two workers; 0: not")
+    parser.add_argument("--scaling", type=int, default=800, help="scans for one against two workers; 0: not")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--data", type=Path, help="root of recorded scans, in SemanticKITTI's layout")
     arguments = parser.parse_args()
