@@ -34,7 +34,7 @@ MOST_POINTS = 1 << 22
 _BODY = struct.Struct("<BIII")
 _FEWEST = 500
 _LEAST_SHARE = 0.5  # of the points that must lie on the lattice
-TRIED = 1 << 15  # points
+_TRIED = 1 << 15  # points
 _LARGEST_STEP = 1 << 16
 
 Motion = NDArray[np.float64] | None
@@ -69,12 +69,16 @@ def choose(
     ways = [replace(way, layout=layout) for layout in layouts]
     if len(ways) > 1:
         way = min(ways, key=lambda w: _tried(aimed, points, sensor, w))
-    return way, (aimed if exact or settled else settle(aimed, points, sensor, way, max_error))
+    if not exact and not settled:
+        aimed = settle(aimed, points, sensor, way, max_error)
+        if (aimed.kinds != OFF).mean() < _LEAST_SHARE:  # they would not be found there again
+            return None
+    return way, aimed
 
 
 def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
     """Bytes that the beginning takes."""
-    part = slice(0, TRIED)
+    part = slice(0, _TRIED)
     names = ("points", "kinds", "laser", "tick", "level")
     first = Aimed(*(getattr(aimed, name)[part].copy() for name in names))
     out = np.empty(32 * len(first.points) + 4096, np.uint8)

@@ -8,14 +8,14 @@ Many strays that lie on the lattice of the sensor model after all, as of a senso
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.residual_code.aimed_strays import TRIED, Motion, choose, read_body, write_body
+from salpcc.stages.residual_code.aimed_strays import Motion, choose, read_body, write_body
 from salpcc.stages.residual_code.aimed_stream import Aimed, Way
 from salpcc.stages.residual_code.aimed_symbols import OFF
 from salpcc.stages.residual_code.buffer import run_encoder
@@ -30,7 +30,7 @@ _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
 _HOPELESS = 8  # bytes a point
-_NO_DOUBT = 0.9  # of the points on the lattice; with fewer, rays are tried, too
+_NO_DOUBT = 0.98  # of the points on the lattice; with fewer, rays are tried, too
 
 
 def ray_step(max_error: float) -> float:
@@ -67,6 +67,11 @@ class Plan:
     sensor: SensorModel | None = None
     chosen: tuple[Way, Aimed] | None = None
 
+    @property
+    def share(self) -> float:
+        """Of the points, those on the lattice of the sensor."""
+        return 0.0 if self.chosen is None else float((self.chosen[1].kinds != OFF).mean())
+
 
 def plan(
     points: F32,
@@ -85,32 +90,34 @@ def plan(
     points = np.ascontiguousarray(points)
     form, per, step = _form(points, max_error)
     chosen = choose(points, form, per, max_error, sensor, motion, settled) if sensor is not None else None
-    tolerance = 0.0 if settled else max_error
-    if chosen is None:
-        return Plan(points, max_error, find_layout(points, form, per, step, tolerance), form, per, step)
-    aimed = Plan(points, max_error, chosen[0].layout, form, per, step, sensor, chosen)
-    if settled or (chosen[1].kinds != OFF).mean() >= _NO_DOUBT:
+    aimed = chosen and Plan(points, max_error, chosen[0].layout, form, per, step, sensor, chosen)
+    if aimed and (settled or aimed.share >= _NO_DOUBT):
         return aimed
-    rays = plan(points, max_error, settled=False)
-    first = [snap(points[:TRIED], max_error, *known) for known in ((sensor, motion), (None, None))]
-    sizes = [
-        len(encode_strays(np.arange(len(part)), plan(part, max_error, *known)))
-        for part, known in zip(first, ((sensor, motion), (None, None)), strict=True)
-    ]
-    return aimed if sizes[0] < sizes[1] else rays
+    layout = find_layout(points, form, per, step, 0.0 if settled else max_error)
+    rays = Plan(points, max_error, layout, form, per, step)
+    return min(aimed, rays, key=_size) if aimed else rays
 
 
 def snap(points: F32, max_error: float, sensor: SensorModel | None = None, motion: Motion = None) -> F32:
     """Move points ``(S, 3)`` to where the coder will put them, where that keeps the bound; sensor and motion as for :func:`plan`."""
     if ray_step(max_error) == 0.0 or len(points) == 0:
         return points
-    found = plan(points, max_error, sensor, motion, settled=False)
+    return _moved(plan(points, max_error, sensor, motion, settled=False))
+
+
+def _moved(found: Plan) -> F32:
+    """Return where the points of a plan that is not settled go."""
     if found.chosen is None:
-        return move_points(found.points, found.layout, found.form, found.per, found.step, max_error)[0]
+        return move_points(found.points, found.layout, found.form, found.per, found.step, found.max_error)[0]
     moved = found.chosen[1].points.copy()
     off = found.chosen[1].kinds == OFF
-    moved[off] = snap(points[off], max_error)
+    moved[off] = snap(found.points[off], found.max_error)
     return moved
+
+
+def _size(found: Plan) -> int:
+    """Bytes that the points of a plan that is not settled take once they are moved."""
+    return len(encode_strays(np.arange(len(found.points)), replace(found, points=_moved(found))))
 
 
 def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
@@ -121,7 +128,7 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
     first = run_encoder(lambda out: int(encode_integers(gaps[:, None], integer_model(1), out)), len(places))
     if found.chosen is None or found.sensor is None:
         return _on_rays(found, first)
-    way, aimed = found.chosen
+    way = found.chosen[0]
 
     def rest(off: F32) -> bytes:
         return encode_strays(np.arange(len(off)), plan(off, found.max_error))
@@ -130,7 +137,7 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
     if body is None:
         return _on_rays(plan(found.points, found.max_error), first)
     coded = _HEAD.pack(len(first), AIMED, *way.layout, found.per) + first + body
-    if (aimed.kinds != OFF).mean() >= _NO_DOUBT or found.form == ALONG:
+    if found.share >= _NO_DOUBT or found.form == ALONG:
         return coded
     return min(coded, _on_rays(plan(found.points, found.max_error), first), key=len)
 

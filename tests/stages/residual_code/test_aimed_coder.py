@@ -52,7 +52,7 @@ def rows(fan: SensorModel) -> Points:
 
 def in_order(rows: Points, order: str) -> Points:
     points = rows if order.startswith("rows") else rows.transpose(1, 0, 2)
-    points = np.ascontiguousarray(points.reshape(-1, 3))
+    points = points.reshape(-1, 3).copy()
     return points[(points != 0).any(axis=1)] if order.endswith("returns") else points
 
 
@@ -192,3 +192,57 @@ def test_any_bytes_end(data: bytes, n: int, moved: bool) -> None:
             bytearray(head + b"\x00\x00\x00\x00" + len(data).to_bytes(4, "little") + data), np.uint8
         )
         decode_strays(n, max_error, body, pair, MOTION if moved else None)
+
+
+def parts(points: Points, rng: np.random.Generator) -> dict[str, Points]:
+    """What filters, splitters and mergers of others make of a scan."""
+    turned = points @ np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]], np.float32) + np.float32(0.4)
+    _, first = np.unique(np.floor(points / 0.3).astype(np.int64), axis=0, return_index=True)
+    return {
+        "half of them": points[rng.random(len(points)) < 0.5],
+        "shuffled": points[rng.permutation(len(points))],
+        "no ground": points[points[:, 2] > -1.2],
+        "a part of a turn": points[np.abs(points[:, 1]) < points[:, 0]],
+        "near": points[np.linalg.norm(points, axis=1) < 10],
+        "one a voxel": points[np.sort(first)],
+        "two sensors": np.vstack([points[: len(points) // 2], turned[: len(points) // 2]]),
+        "a few": points[rng.permutation(len(points))[:640]],
+    }
+
+
+def assert_within(points: Points, max_error: float, sensor: SensorModel | None) -> None:
+    points = np.ascontiguousarray(points)
+    snapped = snap(points, max_error, sensor)
+    data = np.frombuffer(
+        bytearray(encode_strays(np.arange(len(points)), plan(snapped, max_error, sensor))), np.uint8
+    )
+    _, decoded, sound = decode_strays(len(points), max_error, data, sensor)
+    assert sound
+    assert decoded.tobytes() == snapped.tobytes()
+    if len(points):
+        assert np.linalg.norm(decoded.astype(np.float64) - points, axis=1).max() <= max_error
+
+
+@settings(max_examples=25)
+@given(st.data())
+def test_any_part_of_any_cloud_within_any_bound(
+    fan: SensorModel, sensor: SensorModel, rows: Points, data: st.DataObject
+) -> None:
+    """Which way codes a cloud is decided without asking which way codes it, whatever share of it lies on a lattice."""
+    on = data.draw(st.floats(0.3, 1.0), label="share on the lattice")
+    rng = np.random.default_rng(data.draw(st.integers(0, 99), label="seed"))
+    points = in_order(rows, data.draw(st.sampled_from(["rows", "firings, returns"])))
+    odd = rng.random(len(points)) > on
+    points[odd] += rng.normal(0, 0.2, (int(odd.sum()), 3)).astype(np.float32)
+    part = data.draw(st.sampled_from([*parts(points[:900], rng), "whole"]), label="part")
+    points = points if part == "whole" else parts(points, rng)[part]
+    max_error = data.draw(st.sampled_from([0.002, 0.005, 0.01, 0.02, 0.05, 0.3]), label="bound")
+    assert_within(points, max_error, data.draw(st.sampled_from([fan, sensor, None]), label="model"))
+
+
+@pytest.mark.parametrize("max_error", [0.005, 0.02, 0.05])
+def test_parts_of_a_real_scan(real_data, sensor: SensorModel, max_error: float) -> None:
+    file = real_data / "semantickitti" / "sequences" / "00" / "velodyne" / "000000.bin"
+    points = np.ascontiguousarray(np.fromfile(file, "<f4").reshape(-1, 4)[:, :3])
+    for part in parts(points, np.random.default_rng(0)).values():
+        assert_within(part, max_error, sensor)
