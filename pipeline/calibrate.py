@@ -96,7 +96,7 @@ def summary(found: Calibration) -> list[str]:
 def _scans_of(log: Path, at_most: int, topics: tuple[str, ...]) -> Iterator[Listed]:
     """Read scans, evenly spread; what cannot be read has no points."""
     names = Bag().sequences(log) if log.exists() else []
-    if log.suffix in (".mcap", ".bag") or (len(names) == 1 and not any(log.rglob("*.bin"))):
+    if log.suffix in (".mcap", ".bag") or (len(names) == 1 and not _bins(log)):
         bag = Bag()
         refs = bag.scans(log, names[0] if names else log.stem, topics)
         if len({ref.topic for ref in refs}) > 1:
@@ -106,7 +106,7 @@ def _scans_of(log: Path, at_most: int, topics: tuple[str, ...]) -> Iterator[List
         for ref in _spread(refs, at_most):
             yield listed_of(bag.read(ref, with_labels=False))
         return
-    files = [log] if log.is_file() else sorted(log.rglob("*.bin"))
+    files = [log] if log.is_file() else _bins(log)
     if not files:
         raise UsageError(f"{log}: no .bin or .pcd.bin scans found there or below, and no log. {Bag.hint}")
     for file in _spread(files, at_most):
@@ -118,6 +118,11 @@ def _scans_of(log: Path, at_most: int, topics: tuple[str, ...]) -> Iterator[List
                 yield Listed(read_points(file)[0].astype(np.float64))
         except SourceError:
             yield Listed(np.zeros((0, 3)))
+
+
+def _bins(folder: Path) -> list[Path]:
+    """The ``.bin`` files in a folder and below it, without hidden ones."""
+    return sorted(file for file in folder.rglob("*.bin") if not file.name.startswith("."))
 
 
 def listed_of(scan: Scan) -> Listed:

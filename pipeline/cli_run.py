@@ -80,6 +80,9 @@ def sequences(
     several_scans: Annotated[
         bool, typer.Option(help="Let the scans of a group settle their classes together")
     ] = True,
+    columns: Annotated[
+        int, typer.Option(min=4, max=5, help="Numbers a point in .bin files; 5: nuScenes, with rings")
+    ] = 4,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
     effort: EffortLevel = "default",
     coder: Annotated[
@@ -127,6 +130,7 @@ def sequences(
         coder=coder,
         gop=gop,
         sensor=sensor,
+        columns=columns,
         frames=parse_frames(frames),
         baselines=baseline_names(baselines),
         device=device,

@@ -13,7 +13,7 @@ from salpcc.pipeline.log_export import to_bag, to_mcap
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.point_cloud import scan_columns
+from salpcc.stages.ingest.point_cloud import point_rows, scan_columns
 from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes
 
 _PLY = dict(
@@ -34,7 +34,8 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Pat
     for scan in scans:
         path = folder / f"{scan.name}.bin"
         with atomic(path) as stream:
-            stream.write(points_to_bytes(scan.points, scan.intensity))
+            wide = archive.config.get("columns", 4) > 4  # then a scan's rows are those of its cloud
+            stream.write(point_rows(scan).tobytes() if wide else points_to_bytes(scan.points, scan.intensity))
         yield path
 
 

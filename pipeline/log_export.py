@@ -116,6 +116,8 @@ def messages(archive: Archive, scans: Iterator[Scan]) -> Iterator[tuple[LogChann
 
 def _message(archive: Archive, scan: Scan, place: int) -> tuple[LogChannel, LogMessage]:
     cloud = scan.cloud
+    if cloud is not None and not archive.log:  # a file of more than four columns
+        return _POINTS, LogMessage(1, scan.time, scan.time, place, scan_to_message(scan))
     if cloud is None:
         data = points_to_bytes(scan.points, scan.intensity)
         dense = bool((scan.points - scan.points == 0).all())  # neither NaN nor infinite

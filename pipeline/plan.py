@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from salpcc.pipeline.records import recorded
@@ -66,7 +66,8 @@ def plan_run(
 
 def _scans(root: Path, sequence: str, config: RunConfig, out: Path | None) -> list[ScanRef]:
     if config.source != Bag.name:
-        return SOURCES[config.source].scans(root, sequence)
+        refs = SOURCES[config.source].scans(root, sequence)
+        return [replace(ref, columns=config.columns) for ref in refs]
     record = recorded(out, sequence) if out else {}
     log = find_log(root, sequence)
     same = log_mark(log) == record.get("files", {}).get(log.name, ("",))[0]

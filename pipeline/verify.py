@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +106,9 @@ def _sources(reader: ArchiveReader, root: Path) -> dict[str, ScanRef]:
     if not (root.is_dir() or (reader.log and root.exists())):
         raise UsageError(missing_root(root, facts.source))
     try:
-        return {_key(ref.topic, ref.name): ref for ref in SOURCES[facts.source].scans(root, facts.sequence)}
+        refs = SOURCES[facts.source].scans(root, facts.sequence)
+        columns = facts.config.get("columns", 4)
+        return {_key(ref.topic, ref.name): replace(ref, columns=columns) for ref in refs}
     except SourceError as error:
         raise UsageError(str(error)) from error
 

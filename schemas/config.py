@@ -48,6 +48,7 @@ class RunConfig(BaseModel):
     weights_digest: str = Field("", description="digest of the weights; filled in by the run")
     several_scans: bool = Field(True, description="whether the scans of a GOP settle their classes together")
     frames: tuple[int, int] | None = Field(None, description="frame numbers, first and one past the last")
+    columns: Literal[4, 5] = Field(4, description="float32 numbers a point in .bin files")
     topics: tuple[str, ...] = Field((), description="of point clouds in a log; none is all")
     baselines: tuple[str, ...] = ()
     device: Literal["cpu", "cuda"] = "cpu"
@@ -72,6 +73,7 @@ class RunConfig(BaseModel):
     def coding(self) -> dict[str, object]:
         """The fields that decide archive bytes, by name; stored in every archive."""
         skip = {"source", "frames", "topics", "baselines", "device", "sensor", "weights"}
+        skip |= {"columns"} if self.columns == 4 else set()
         skip |= set() if self.uses_network else {"weights_digest", "several_scans"}
         skip |= {"effort"} if self.profile == "paper" else {"coder"}
         return {k: v for k, v in self.model_dump(mode="json").items() if k not in skip}

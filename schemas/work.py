@@ -22,6 +22,7 @@ class ScanRef:
         path: the points.
         time: nanoseconds since the start of the log.
         labels: the ``.label`` file, or None where there is none.
+        columns: float32 numbers a point, of a file.
         topic, at: of a message in a log: its topic, and its place as the log tells it.
         digest, labels_digest: of the bytes of path and labels, where they are known; messages share their log's.
     """
@@ -31,6 +32,7 @@ class ScanRef:
     path: str
     time: int
     labels: str | None = None
+    columns: int = 4
     topic: str = ""
     at: tuple[int, ...] = ()
     digest: str = ""

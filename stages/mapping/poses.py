@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError
+from salpcc.stages.ingest.sources.frame_lines import frame_lines
 
 F64 = NDArray[np.float64]
 
@@ -20,15 +21,17 @@ def read_poses(path: Path) -> F64:
     """Read sensor poses ``(N, 4, 4)`` from KITTI's camera poses and the ``calib.txt`` beside them.
 
     KITTI gives, per frame, the left camera in the first one's frame; ``Tr`` takes the sensor to the camera. The
-    result has the sensor in its own first frame: x ahead, y left, z up. A line that is not a pose, such as
-    one with a NaN, gives a pose of NaN: it matters only to who wants that frame.
+    result has the sensor in its own first frame: x ahead, y left, z up. A line that is not a pose, blank or
+    with a NaN, gives a pose of NaN: it matters only to who wants that frame.
 
     Raises:
         SourceError: a file is missing or unreadable, a line has not 12 numbers, no ``Tr``.
     """
     if not path.is_file():
         raise SourceError(f"{path}: no poses there; name a KITTI poses.txt, or use --poses odometry")
-    camera = [_matrix(row, f"{path}: line {at + 1}") for at, row in enumerate(_lines(path)) if row.strip()]
+    none = np.full((4, 4), np.nan)
+    rows = enumerate(frame_lines(path))
+    camera = [_matrix(row, f"{path}: line {at + 1}") if row else none for at, row in rows]
     if not camera:
         raise SourceError(f"{path}: no pose in it; use --poses odometry")
     to_camera = _calibration(path.with_name("calib.txt"))
@@ -79,17 +82,10 @@ def inverse(pose: F64) -> F64:
     return out
 
 
-def _lines(path: Path) -> list[str]:
-    try:
-        return path.read_text(encoding="ascii").splitlines()
-    except (OSError, ValueError) as error:
-        raise SourceError(f"{path}: {error}") from error
-
-
 def _calibration(path: Path) -> F64:
     if not path.is_file():
         raise SourceError(f"{path}: not found; it must stand beside the poses and have a line `Tr:`")
-    for row in _lines(path):
+    for row in frame_lines(path):
         if row.startswith("Tr:"):
             matrix = _matrix(row[3:], f"{path}: Tr")
             if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3]) - 1) > _ROTATION_SLACK:

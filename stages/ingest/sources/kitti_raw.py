@@ -6,10 +6,10 @@ from datetime import datetime
 from pathlib import Path
 
 from salpcc.schemas.errors import SourceError
-from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_points
+from salpcc.stages.ingest.sources.frame_lines import frame_lines
+from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_scan, scan_files
 
 
 class KittiRaw:
@@ -25,7 +25,8 @@ class KittiRaw:
         """List drives: folders of ``root`` (one date folder deep, too) that hold scans."""
         if not root.is_dir():
             return []
-        return sorted(p.name for p in root.iterdir() if p.is_dir() and _data_folder(p) is not None)
+        folders = (p for p in root.iterdir() if p.is_dir() and not p.name.startswith("."))
+        return sorted(p.name for p in folders if _data_folder(p) is not None)
 
     def scans(self, root: Path, sequence: str) -> list[ScanRef]:
         """List the scans of ``root/sequence``; times from timestamps.txt, else a nominal 10 Hz."""
@@ -36,32 +37,41 @@ class KittiRaw:
         data = _data_folder(folder)
         if data is None:
             raise SourceError(f"{folder}: no .bin scans found. {self.hint}")
-        return list_scans(data, read_timestamps(data.parent / "timestamps.txt"), None)
+        stamps = data.parent / "timestamps.txt"
+        return list_scans(data, read_timestamps(stamps), stamps, None)
 
     def read(self, ref: ScanRef, with_labels: bool) -> Scan:
         """Read points; there are no labels to raw drives."""
         if with_labels:
             raise SourceError(f"{ref.path}: raw drives have no labels; use --labels network")
-        points, intensity = read_points(location(ref.path))
-        return Scan(ref.name, points, intensity, ref.time)
+        return read_scan(ref)
 
 
 def _data_folder(folder: Path) -> Path | None:
     for candidate in (folder / "velodyne_points" / "data", folder):
-        if next(candidate.glob("*.bin"), None) is not None:
+        if scan_files(candidate):
             return candidate
     return None
 
 
-def read_timestamps(path: Path) -> list[int] | None:
-    """Read nanoseconds since the first line from a file of dates, or None where there is no file."""
+def read_timestamps(path: Path) -> list[int | None] | None:
+    """Read nanoseconds since the first time stamp from a file of dates, one a frame; None where there is no file.
+
+    KITTI leaves a blank line where a scan is missing: its frame has no time.
+
+    Raises:
+        SourceError: unreadable, or a line is no date.
+    """
     if not path.is_file():
         return None
-    try:
-        stamps = [_nanoseconds(line) for line in path.read_text().splitlines() if line.strip()]
-    except ValueError as error:
-        raise SourceError(f"{path}: {error}") from error
-    return [stamp - stamps[0] for stamp in stamps]
+    stamps: list[int | None] = []
+    for at, line in enumerate(frame_lines(path)):
+        try:
+            stamps.append(_nanoseconds(line) if line else None)
+        except ValueError as error:
+            raise SourceError(f"{path}: line {at + 1}: {error}") from error
+    first = next((stamp for stamp in stamps if stamp is not None), 0)
+    return [None if stamp is None else stamp - first for stamp in stamps]
 
 
 def _nanoseconds(line: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from salpcc.schemas.files import location, why
 from salpcc.schemas.labels import classes_of_labels
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_points
+from salpcc.stages.ingest.sources.frame_lines import frame_lines
+from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_scan
 
 
 class SemanticKitti:
@@ -26,32 +28,41 @@ class SemanticKitti:
 
     def sequences(self, root: Path) -> list[str]:
         """List sequences: folders below ``root/sequences`` that hold a ``velodyne`` folder."""
-        return sorted(p.parent.name for p in (root / "sequences").glob("*/velodyne") if p.is_dir())
+        folders = (p for p in (root / "sequences").glob("*/velodyne") if p.is_dir())
+        return sorted(p.parent.name for p in folders if not p.parent.name.startswith("."))
 
     def scans(self, root: Path, sequence: str) -> list[ScanRef]:
         """List the scans of ``root/sequences/sequence``; times from times.txt (seconds, one a line)."""
         folder = root / "sequences" / sequence
         if not (folder / "velodyne").is_dir():
             raise SourceError(f"{folder / 'velodyne'}: not found. {self.hint}")
-        return list_scans(folder / "velodyne", read_times(folder / "times.txt"), folder / "labels")
+        times = folder / "times.txt"
+        return list_scans(folder / "velodyne", read_times(times), times, folder / "labels")
 
     def read(self, ref: ScanRef, with_labels: bool) -> Scan:
         """Read points and, where asked, the classes of the ``.label`` file."""
-        points, intensity = read_points(location(ref.path))
-        classes = read_classes(ref, len(points)) if with_labels else None
-        return Scan(ref.name, points, intensity, ref.time, classes=classes)
+        scan = read_scan(ref)
+        return replace(scan, classes=read_classes(ref, len(scan))) if with_labels else scan
 
 
-def read_times(path: Path) -> list[int] | None:
-    """Read nanoseconds by frame number from a file of seconds, or None where there is no file."""
+def read_times(path: Path) -> list[int | None] | None:
+    """Read nanoseconds by frame number from a file of seconds, one a line; None where there is no file.
+
+    A blank line is a frame without a time.
+
+    Raises:
+        SourceError: unreadable, or a line is not one number that nanoseconds can hold.
+    """
     if not path.is_file():
         return None
-    try:
-        times = [round(float(line) * 1e9) for line in path.read_text().split()]
-    except (ValueError, OverflowError) as error:
-        raise SourceError(f"{path}: {error}") from error
-    if not all(0 <= time < 1 << 63 for time in times):
-        raise SourceError(f"{path}: a time is negative or too large for nanoseconds in 63 bits")
+    times: list[int | None] = []
+    for at, line in enumerate(frame_lines(path)):
+        try:
+            times.append(round(float(line) * 1e9) if line else None)
+        except (ValueError, OverflowError) as error:
+            raise SourceError(f"{path}: line {at + 1}, {line!r}, is not one number of seconds") from error
+        if not 0 <= (times[-1] or 0) < 1 << 63:
+            raise SourceError(f"{path}: line {at + 1}: negative, or too large for nanoseconds in 63 bits")
     return times
 
 
