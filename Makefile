@@ -21,37 +21,38 @@ demo: $(VENV)/.product
 	$(BIN)/salpcc-pipeline verify $(OUT)/archives/01.mcap --against $(OUT)/simulated
 	@echo "The report: $(CURDIR)/$(OUT)/report/index.html"
 
-test: $(VENV)/.product
+test: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p salpcc.schemas -p salpcc.stages -p salpcc.pipeline
 	$(BIN)/pytest -q
 
-bench: $(VENV)/.product
+bench: $(VENV)/.tools
 	$(BIN)/python -m salpcc.stages.evaluate.bench $(if $(ROOT),--root $(ROOT))
 
-fuzz: $(VENV)/.product
+fuzz: $(VENV)/.tools
 	$(BIN)/python tests/fuzz --count 50000
 
-soak: $(VENV)/.product
+soak: $(VENV)/.tools
 	SALPCC_KILLS=100 $(BIN)/pytest -q tests/pipeline/test_faults.py -k killed_workers
 	$(BIN)/python tests/soak.py $(if $(ROOT),--data $(ROOT))
 
-# The lock file is installed first, so that pip has nothing left to choose.
-$(VENV)/.locked: requirements.lock
+# The lock file constrains, so that pip has nothing to choose, and the demo installs what runs and no tool.
+# An ordinary install, not an editable one: what is tested is what users get.
+$(VENV)/.product: requirements.lock $(SOURCES)
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install -q -r requirements.lock
+	$(BIN)/pip install -q -c requirements.lock .
 	@touch $@
 
-# An ordinary install, not an editable one: what is tested is what users get.
-$(VENV)/.product: $(VENV)/.locked $(SOURCES)
-	$(BIN)/pip install -q --no-deps --force-reinstall .
+# The tools, the other codecs, Open3D.
+$(VENV)/.tools: $(VENV)/.product
+	$(BIN)/pip install -q -r requirements.lock
 	@touch $@
 
 lock:
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
-	build/lock/bin/pip install -q ".[dev,baselines]"
+	build/lock/bin/pip install -q ".[dev,baselines,open3d]"
 	build/lock/bin/python scripts/lock.py build/lock > requirements.lock.new
 	mv requirements.lock.new requirements.lock
 

@@ -18,6 +18,7 @@ from rich.table import Table
 from salpcc.pipeline.cli_run import Scheduler, Workers
 from salpcc.schemas.errors import UsageError
 from salpcc.stages.mapping.cleaners import CLEANERS as RIVALS
+from salpcc.stages.mapping.open3d_library import load_open3d
 
 Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE", help="Archives of one drive, in order")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout")]
@@ -184,26 +185,29 @@ def show(out: Path) -> None:
     """Open a map's PLY tiles in Rerun where it is installed, else in Open3D.
 
     Raises:
-        UsageError: no PLY tiles, or no screen.
+        UsageError: no PLY tiles, no screen, or nothing to open them with.
     """
     import os
+
+    import numpy as np
+    from plyfile import PlyData
 
     tiles = sorted((out / "tiles").glob("*.ply"))
     if not tiles:
         raise UsageError(f"--view: no PLY tiles in {out / 'tiles'}; add ply to --formats")
-    import open3d
-
-    clouds = [open3d.io.read_point_cloud(tile) for tile in tiles]
+    vertices = [PlyData.read(tile)["vertex"] for tile in tiles]
+    points = [np.column_stack([vertex[axis] for axis in "xyz"]).astype(np.float64) for vertex in vertices]
     if find_spec("rerun") is not None:
-        import numpy as np
         import rerun
 
         rerun.init("salpcc-pipeline map", spawn=True)
-        for tile, cloud in zip(tiles, clouds, strict=True):
-            rerun.log(f"map/{tile.stem}", rerun.Points3D(np.asarray(cloud.points)))
+        for tile, xyz in zip(tiles, points, strict=True):
+            rerun.log(f"map/{tile.stem}", rerun.Points3D(xyz))
         return
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise UsageError(
             "--view: no screen here (DISPLAY is not set); the pictures are in " + str(out / "pictures")
         )
+    open3d = load_open3d()
+    clouds = [open3d.geometry.PointCloud(open3d.utility.Vector3dVector(xyz)) for xyz in points]
     open3d.visualization.draw_geometries(clouds, window_name=str(out))

@@ -22,6 +22,7 @@ from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.evaluate import record
 from salpcc.stages.evaluate.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.mapping.open3d_library import load_open3d
 from salpcc.stages.mapping.poses import poses_of, read_poses
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
@@ -49,8 +50,9 @@ def localise(request: LocaliseRequest) -> pa.Table:
     """Register every pair of consecutive scans in every way; return the REGISTRATION table that is recorded.
 
     Raises:
-        UsageError, SourceError: no root, no poses, archives that do not hold the same scans.
+        UsageError, SourceError: no root, no poses, archives that do not hold the same scans; no Open3D.
     """
+    load_open3d()  # before an hour of work, not after it
     if not request.archives:
         raise UsageError("no archive: name at least one, such as out/archives/04.mcap")
     by_sequence: dict[str, list[ArchiveReader]] = {}

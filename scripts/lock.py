@@ -10,6 +10,7 @@ HEAD = """\
 # What `make` installs, pinned: the product, its baselines, its tools. Made by `make lock`; pip only."""
 # Packages that are not for every platform or Python.
 MARKERS = {
+    "embreex": 'sys_platform != "linux" or platform_machine == "x86_64"',
     "open3d-cpu": 'sys_platform == "linux" and platform_machine == "x86_64"',
     "backports.zstd": 'python_version < "3.14"',
 }

@@ -13,9 +13,11 @@ from hypothesis import settings
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
+from salpcc.schemas.errors import UsageError
 from salpcc.stages.ingest.lattice import unproject
 from salpcc.stages.ingest.order import azimuth_keys
 from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
+from salpcc.stages.mapping.open3d_library import load_open3d
 
 settings.register_profile("any machine", deadline=None)  # no test may depend on how fast this one is
 settings.load_profile("any machine")
@@ -30,6 +32,15 @@ def real_data() -> Path:
     if not (REAL_DATA / "semantickitti").is_dir():
         pytest.skip(f"real scans are not at {REAL_DATA} (set SALPCC_DATA)")
     return REAL_DATA
+
+
+@pytest.fixture(scope="session")
+def open3d() -> None:
+    """Skip the test where Open3D does not start, and say what it lacks."""
+    try:
+        load_open3d()
+    except UsageError as error:
+        pytest.skip(str(error))
 
 
 def toy_points(sensor: SensorModel, seed: int, firings: int = 160) -> np.ndarray:

@@ -7,6 +7,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.stages.mapping.open3d_library import load_open3d
+
 F64 = NDArray[np.float64]
 Method = Literal["point", "plane"]
 
@@ -36,28 +38,17 @@ def icp(source: NDArray[np.floating], target: NDArray[np.floating], method: Meth
 
     No start is given: that is the test of the paper, and things that drive along are what misleads it.
     """
-    from open3d.pipelines import registration as o3d
-
-    fixed, moving = _cloud(target), _cloud(source)
-    estimate = o3d.TransformationEstimationPointToPoint()
+    open3d = load_open3d()
+    fixed, moving = _cloud(open3d, target), _cloud(open3d, source)
+    rules = open3d.pipelines.registration
+    estimate = rules.TransformationEstimationPointToPoint()
     if method == "plane":
-        _with_normals(fixed)
-        estimate = o3d.TransformationEstimationPointToPlane()
-    rule = o3d.ICPConvergenceCriteria(relative_fitness=1e-6, relative_rmse=1e-6, max_iteration=ROUNDS)
-    return np.array(o3d.registration_icp(moving, fixed, REACH, np.eye(4), estimate, rule).transformation)
+        radius, most = _NORMALS
+        fixed.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius, most))
+        estimate = rules.TransformationEstimationPointToPlane()
+    end = rules.ICPConvergenceCriteria(relative_fitness=1e-6, relative_rmse=1e-6, max_iteration=ROUNDS)
+    return np.array(rules.registration_icp(moving, fixed, REACH, np.eye(4), estimate, end).transformation)
 
 
-def _cloud(points: NDArray[np.floating]) -> Any:
-    from open3d.geometry import PointCloud
-    from open3d.utility import Vector3dVector
-
-    cloud = PointCloud()
-    cloud.points = Vector3dVector(np.ascontiguousarray(points, np.float64))
-    return cloud
-
-
-def _with_normals(cloud: Any) -> None:
-    from open3d.geometry import KDTreeSearchParamHybrid
-
-    radius, most = _NORMALS
-    cloud.estimate_normals(KDTreeSearchParamHybrid(radius, most))
+def _cloud(open3d: Any, points: NDArray[np.floating]) -> Any:
+    return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.ascontiguousarray(points, np.float64)))

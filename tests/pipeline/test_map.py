@@ -239,6 +239,7 @@ def test_archives_of_different_sensors_are_not_one_map(
         make_map(request_(tmp_path / "out", archives=[archive, path], poses=[]))
 
 
+@pytest.mark.usefixtures("open3d")
 def test_localisation_in_bit_exact_scans_is_that_in_the_originals(
     archive: Path, root: Path, tmp_path: Path
 ) -> None:

@@ -1,4 +1,4 @@
-"""Cast rays into the street and its traffic with Open3D's RaycastingScene (Embree)."""
+"""Cast rays into the street and its traffic with Embree."""
 
 from __future__ import annotations
 
@@ -7,10 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.schemas.errors import UsageError
 from salpcc.stages.ingest.simulator.drive import Drive
 from salpcc.stages.ingest.simulator.mesh import Mesh, merge
 from salpcc.stages.ingest.simulator.street import Piece
 from salpcc.stages.ingest.simulator.traffic import Mover
+
+try:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+except ImportError as error:  # no wheel of it for Linux on ARM
+    raise UsageError(f"the simulator needs the package embreex: {error}") from error
 
 F64 = NDArray[np.float64]
 _WINDOW = 40.0  # metres of drive between two rebuilds of the static scene
@@ -32,24 +39,23 @@ class _Scene:
     """A mesh in Embree."""
 
     def __init__(self, mesh: Mesh) -> None:
-        # Open3D takes seconds and 100 MB to import; whoever only names the simulator should not pay.
-        import open3d
-
         self.mesh = mesh
         self.centre = mesh.vertices.mean(0)
-        self._tensor = open3d.core.Tensor.from_numpy
-        self._scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-        points = np.ascontiguousarray(mesh.vertices - self.centre, np.float32)
-        self._scene.add_triangles(self._tensor(points), self._tensor(mesh.triangles.astype(np.uint32)))
+        self._scene = EmbreeScene(robust=True)  # a ray along a shared edge meets one of its triangles
+        TriangleMesh(
+            self._scene, (mesh.vertices - self.centre).astype(np.float32), mesh.triangles.astype(np.int32)
+        )
 
     def cast(self, origin: F64, direction: F64) -> Hits:
         """Cast rays ``(N, 3)``; directions are unit vectors."""
-        rays = np.concatenate([origin - self.centre, direction], axis=1).astype(np.float32)
-        answer = self._scene.cast_rays(self._tensor(rays), nthreads=1)
-        distance = answer["t_hit"].numpy().astype(np.float64)
-        hit = np.isfinite(distance)
-        triangle = np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), 0)
-        cosine = np.abs((answer["primitive_normals"].numpy() * rays[:, 3:]).sum(1)).astype(np.float64)
+        toward = direction.astype(np.float32)
+        answer = self._scene.run((origin - self.centre).astype(np.float32), toward, output=True)
+        hit = answer["primID"] >= 0
+        distance = np.where(hit, answer["tfar"], np.inf).astype(np.float64)
+        triangle = np.where(hit, answer["primID"], 0)
+        normal = answer["Ng"]  # as long as the triangle is large
+        length = np.where(hit, np.linalg.norm(normal, axis=1), 1)
+        cosine = np.abs((normal * toward).sum(1) / length).astype(np.float64)
         m = self.mesh
         return Hits(distance, cosine, m.material[triangle], m.label[triangle], m.gain[triangle])
 

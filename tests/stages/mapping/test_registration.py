@@ -43,6 +43,7 @@ def test_errors_are_the_papers() -> None:
     assert translation_error(pose(3, 4), np.eye(4)) == 5.0
 
 
+@pytest.mark.usefixtures("open3d")
 @pytest.mark.parametrize("method", ["point", "plane"])
 def test_icp_finds_a_motion(street: np.ndarray, method: str) -> None:
     truth = pose(0.3, 0.05, 0.4)

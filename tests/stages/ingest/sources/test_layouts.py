@@ -68,7 +68,6 @@ def test_impossible_times_are_refused(tmp_path: Path, time: str) -> None:
 
 
 def test_simulation_is_made_once_and_the_same(tmp_path: Path) -> None:
-    pytest.importorskip("open3d")
     source = Simulated()
     first = source.make(tmp_path / "a", "03", 1)
     made = Path(first[0].path).stat().st_mtime_ns
