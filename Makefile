@@ -1,5 +1,5 @@
 # make demo   the main job on two small simulated sequences; needs Python 3.11+, make and a package index
-# make test   ruff, mypy, pytest, in an environment of its own
+# make test   ruff, mypy, pytest
 # make bench  our codec against others in turns, CPU time on one core; ROOT=DIR for recorded scans
 # make fuzz   damaged input for every reader, 50,000 times
 # make soak   100 killed workers, then 2,000 scans on two; ROOT=DIR for recorded ones
