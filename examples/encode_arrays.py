@@ -24,7 +24,7 @@ def main() -> None:
     ]
     with tempfile.TemporaryDirectory() as folder:
         for error in (None, 0.01):
-            path = encode_scans(scans, Path(folder) / "scans.mcap", max_error=error)
+            path = encode_scans(scans, Path(folder) / f"{error}.mcap", max_error=error)
             with Archive.open(path) as archive:
                 worst = max(
                     float(np.linalg.norm(scan.points - source.points, axis=1).max())

@@ -46,12 +46,24 @@ def decode_scans(reader: ArchiveReader | Salvage, gop: int) -> Iterator[Scan]:
         yield scan_of(sweep, sensor)
 
 
+def _detached(scan: Scan) -> Scan:
+    """Copy the arrays of a scan, so that whoever writes into them changes nothing that is decoded later."""
+    return replace(
+        scan,
+        points=scan.points.copy(),
+        intensity=scan.intensity.copy(),
+        classes=None if scan.classes is None else scan.classes.copy(),
+        motion=None if scan.motion is None else scan.motion.copy(),
+        cloud=scan.cloud and replace(scan.cloud, rest=scan.cloud.rest.copy()),
+    )
+
+
 class Archive:
     """The scans of one archive as a read-only sequence.
 
     Random access decodes at most one GOP, from its first scan to the one asked for; going on from there
     decodes each scan once. Only the GOP in hand is kept in memory. An archive can be pickled and
-    forked: a copy starts with nothing decoded and shares no open file.
+    forked: a copy starts with nothing decoded and shares no open file. Arrays of its scans are the caller's own.
     """
 
     _gop: int  # the GOP in hand, -1 for none
@@ -133,11 +145,11 @@ class Archive:
         except BaseException:
             self._forget()  # a broken decoder must not be asked again
             raise
-        return self._decoded[place]
+        return _detached(self._decoded[place])
 
     def __iter__(self) -> Iterator[Scan]:
         for gop in range(len(self._reader.gops)):
-            yield from decode_scans(self._reader, gop)
+            yield from map(_detached, decode_scans(self._reader, gop))
 
     def __getstate__(self) -> dict[str, Any]:
         return {"reader": self._reader, "places": self._places}

@@ -19,6 +19,7 @@ from salpcc.pipeline.cli_run import (
     KeepMovable,
     KeepShards,
     Out,
+    Overwrite,
     Scheduler,
     Sensor,
     ToStage,
@@ -74,6 +75,7 @@ def log(
     from_stage: FromStage = None,
     to_stage: ToStage = STAGES[-1],
     keep_shards: KeepShards = False,
+    overwrite: Overwrite = False,
     baselines: Baselines = "none",
     device: Device = "cpu",
     json_: Json = False,
@@ -106,7 +108,7 @@ def log(
         root=file,
         workers=workers,
         scheduler=scheduler,
-        graph=stages_of(from_stage, to_stage, keep_shards),
+        graph=stages_of(from_stage, to_stage, keep_shards, overwrite),
         command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
     )
     execute(request, json_)

@@ -44,6 +44,9 @@ Workers = Annotated[int | None, typer.Option(min=0, help="Processes; 0 is in-pro
 Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")]
 FromStage = Annotated[str | None, typer.Option("--from", help=f"Redo from: {' | '.join(STAGES)}")]
 ToStage = Annotated[str, typer.Option("--to", help="Stop after this stage, keeping its shards")]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace archives in --out that were made otherwise")
+]
 KeepShards = Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")]
 Baselines = Annotated[str, typer.Option(help="all | none | NAME,NAME")]
 Device = Annotated[str, typer.Option(help="cpu | cuda, for the networks")]
@@ -96,6 +99,7 @@ def sequences(
     from_stage: FromStage = None,
     to_stage: ToStage = STAGES[-1],
     keep_shards: KeepShards = False,
+    overwrite: Overwrite = False,
     baselines: Baselines = "none",
     tmc3: Annotated[
         Path | None,
@@ -142,7 +146,7 @@ def sequences(
         root=root,
         workers=workers,
         scheduler=scheduler,
-        graph=stages_of(from_stage, to_stage, keep_shards),
+        graph=stages_of(from_stage, to_stage, keep_shards, overwrite),
         command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
     )
     execute(request, json_)
@@ -173,14 +177,14 @@ def config_of(**values: object) -> RunConfig:
         raise UsageError(f"--{option}: {first['msg']}") from error
 
 
-def stages_of(first: str | None, last: str, keep: bool) -> GraphOptions:
+def stages_of(first: str | None, last: str, keep: bool, overwrite: bool) -> GraphOptions:
     """Check how far a run goes."""
     for option, stage in (("--from", first), ("--to", last)):
         if stage is not None and stage not in STAGES:
             raise UsageError(f"{option} {stage}: choose from {', '.join(STAGES)}")
     if first is not None and STAGES.index(first) > STAGES.index(last):
         raise UsageError(f"--from {first} --to {last}: the stages run the other way round")
-    return GraphOptions(first or STAGES[0], last, first is not None, keep)
+    return GraphOptions(first or STAGES[0], last, first is not None, keep, overwrite)
 
 
 def execute(request: RunRequest, json_: bool) -> None:

@@ -121,5 +121,21 @@ def _same_tool(client: Client, scheduler: str) -> None:
         )
 
 
+def check_device(client: Client, device: str) -> None:
+    """Refuse a device that a worker lacks.
+
+    Raises:
+        UsageError: so it is.
+    """
+    if device == "cuda" and not all(client.run(_has_cuda).values()):
+        raise UsageError("--device cuda: a worker has no GPU that PyTorch can use; leave --device out")
+
+
+def _has_cuda() -> bool:
+    import torch
+
+    return bool(torch.cuda.is_available())
+
+
 def _tool() -> str:
     return TOOL

@@ -3,45 +3,77 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from pydantic import ValidationError
 
+from salpcc.pipeline.checked import check_name, checked
+from salpcc.pipeline.verify import Verdict, compare
 from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import sweeps_to_table
 from salpcc.stages.ground_fit import stage as ground_fit
-from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.predict import stage as predict
 from salpcc.stages.residual_code import stage as residual_code
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.gop import decode_any, scan_of
 from salpcc.stages.segment import stage as segment
 from salpcc.stages.segment.weights_file import weights_digest, weights_path
 
 
-def encode_scans(scans: Iterable[Scan], path: str | Path, sequence: str = "scans", **options: Any) -> Path:
+def encode_scans(
+    scans: Iterable[Scan],
+    path: str | Path,
+    sequence: str = "scans",
+    *,
+    overwrite: bool = False,
+    **options: Any,
+) -> Path:
     """Encode scans to an archive; :class:`~salpcc.pipeline.archive.Archive` gives them back.
 
     Scans are taken one GOP at a time, so a generator of any length will do. Their names must differ and
-    may hold no slash; names of digits are taken as frame numbers.
+    may hold no slash; names of digits are taken as frame numbers. Each GOP is decoded again and compared with its scans; the archive
+    appears under its name when all of it is right.
 
     Args:
+        overwrite: replace a file that is there.
         options: fields of :class:`~salpcc.schemas.config.RunConfig`, e.g. ``max_error=0.01``. Arrays keep
             their movable points unless ``keep_movable=False``. With ``labels="given"`` every scan needs its
             ``classes``.
 
     Raises:
-        SalpccError: an option is wrong, the sensor is unknown.
+        UsageError: an option is wrong, the file is there, a scan is no scan.
+        SalpccError: the sensor is unknown, or what was written does not decode to the scans.
+
+    Example::
+
+        scan = Scan("000000", points, intensity)  # float32 (N, 3) in metres, float32 (N,)
+        encode_scans([scan], "mine.mcap", max_error=0.01)
     """
-    config = resolve(RunConfig(**{"keep_movable": True, **options}))
+    try:
+        config = resolve(RunConfig(**{"keep_movable": True, **options}))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UsageError(f"option {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    target = location(path)
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target} is there already; overwrite=True replaces it")
+    check_name(sequence, "sequence")
+    first_scan = next(coming := checked(scans, config), None)
+    if first_scan is None:
+        raise UsageError(f"{target}: there are no scans to encode")
     facts = ArchiveFacts(sequence, "arrays", "", config.coding, load_sensor(config.sensor))
-    write_archive(location(path), facts, _gops(iter(scans), config))
-    return location(path)
+    write_archive(target, facts, _gops(chain([first_scan], coming), config))
+    return target
 
 
 def resolve(config: RunConfig) -> RunConfig:
@@ -79,4 +111,23 @@ def _gops(scans: Iterator[Scan], config: RunConfig) -> Iterator[list[ScanPayload
             place += 1
         task = segment.run(sweeps_to_table(sweeps), config)
         planes = ground_fit.run(task, config)
-        yield payloads_of(residual_code.run(task, planes, predict.run(task, planes, config), config))
+        payloads = payloads_of(residual_code.run(task, planes, predict.run(task, planes, config), config))
+        _decode_again(group, payloads, config, sensor)
+        yield payloads
+
+
+def _decode_again(
+    scans: list[Scan], payloads: list[ScanPayload], config: RunConfig, sensor: SensorModel
+) -> None:
+    """Decode what was coded and compare it with the scans.
+
+    Raises:
+        ArchiveError: it is something else; that is a fault of this tool.
+    """
+    verdict = Verdict("", "", asked_max_error_m=config.max_error)
+    decoded = decode_any((payload.data for payload in payloads), sensor)
+    for sweep, scan in zip(decoded, scans, strict=True):
+        back = replace(scan_of(sweep, sensor), name=scan.name)
+        compare(back, scan, "the scan given", config.coding, verdict)
+    if verdict.problems:
+        raise ArchiveError(f"not written, as it would not come back right: {verdict.problems[0]}")

@@ -22,6 +22,7 @@ from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from salpcc.pipeline.digests import all_known, recall
+from salpcc.pipeline.held import check_replaceable
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.progress import Report
 from salpcc.pipeline.records import recorded
@@ -31,6 +32,7 @@ from salpcc.pipeline.sequence import (
     evaluate_gop,
     finish,
     finished,
+    inputs_digest,
     known_files,
 )
 from salpcc.pipeline.store import ShardStore
@@ -54,6 +56,7 @@ class GraphOptions:
     last: str = STAGES[-1]
     forced: bool = False  # --from was given: redo `first` and what follows
     keep_shards: bool = False
+    overwrite: bool = False  # replace archives that were made otherwise
 
     def redo(self, stage: str) -> bool:
         """Tell whether results of ``stage`` that exist are to be made again."""
@@ -128,10 +131,14 @@ class Graph:
         record = recorded(self._out, outcome.plan.sequence)
         given = self._config.labels == "given"
         outcome.plan = plan = recall(outcome.plan, record.get("files", {}), given)
-        reusable = options.reaches("residual_code") and (not options.forced or options.first == "evaluate")
-        if reusable and archive_path(self._out, plan.sequence).is_file():
+        archive = archive_path(self._out, plan.sequence)
+        if options.reaches("residual_code") and archive.is_file():
             digests = self._digests(plan)
-            if finished(plan, digests, record, self._config, self._out):
+            if not options.overwrite:
+                inputs = inputs_digest(plan, digests, self._config)
+                check_replaceable(archive, plan, inputs, record, self._config)
+            reusable = not options.forced or options.first == "evaluate"
+            if reusable and finished(plan, digests, record, self._config, self._out):
                 outcome.record = record
             else:
                 outcome.plan = plan = recall(plan, known_files(plan, digests), given)
@@ -180,6 +187,15 @@ class Graph:
 
     def _archived(self, outcome: Outcome, future: Future[Any]) -> None:
         outcome.record = self._value(future)
+        if outcome.record is None:
+            outcome.errors += [error for result in outcome.coded.values() for error in result.errors]
+            archive = archive_path(self._out, outcome.plan.sequence)
+            self._report.say(
+                f"{outcome.plan.sequence}: {archive} stays as it was, as it holds more than came back now"
+                if archive.is_file()
+                else f"{outcome.plan.sequence}: no scan came back, so no archive was written"
+            )
+            return
         if not self._options.keep_shards:
             ShardStore(self._out).drop_sequence(outcome.plan.sequence, STAGES[:-1])
         self._jobs.extendleft(reversed(self._evaluation(outcome)))

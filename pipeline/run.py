@@ -11,12 +11,13 @@ from typing import Any
 
 import pyarrow as pa
 
-from salpcc.pipeline.cluster import connect
+from salpcc.pipeline.cluster import check_device, connect
 from salpcc.pipeline.encode import resolve
 from salpcc.pipeline.graph import Graph, GraphOptions, Outcome
 from salpcc.pipeline.lock import locked
 from salpcc.pipeline.plan import SequencePlan, plan_run
 from salpcc.pipeline.progress import STDERR, Report, Silent, bar
+from salpcc.pipeline.sequence import archive_path
 from salpcc.pipeline.store import TOOL, ShardStore
 from salpcc.schemas.config import UNBOUNDED, RunConfig
 from salpcc.schemas.errors import UsageError
@@ -81,13 +82,14 @@ def run_sequences(request: RunRequest) -> RunResult:
             _simulate(root, request.sequences, config, request.quiet)
             plans, missing = plan_run(root, request.sequences, config, request.out)
         ShardStore(request.out).sweep()
-        with atomic(request.out / "config.json") as stream:
-            stream.write(json.dumps(config.model_dump(mode="json"), indent=1).encode() + b"\n")
         client = stack.enter_context(connect(request.workers, request.scheduler))
+        check_device(client, config.device)
         watcher = stack.enter_context(_watch(request, plans, client.dashboard_link))
         for error in missing:
             watcher.say(error.reason)
         outcomes = Graph(client, config, request.out, request.graph, watcher).run(plans)
+        with atomic(request.out / "config.json") as stream:
+            stream.write(json.dumps(config.model_dump(mode="json"), indent=1).encode() + b"\n")
     errors = missing + [error for outcome in outcomes for error in outcome.errors]
     if not request.graph.reaches("evaluate"):
         return RunResult(None, errors)
@@ -144,35 +146,51 @@ def _gather(
     for ref in sorted((ref for outcome in outcomes for ref in outcome.baselines), key=lambda ref: ref.path):
         baselines.append(store.read(ref)[0].replace_schema_metadata(None).cast(BASELINES))
     columns = list(zip(*times, strict=True)) if times else [()] * len(TIMES)
+    lines = [(e.sequence, e.scan, e.stage, "", e.reason) for e in errors]
+    failures = list(zip(*lines, strict=True)) if lines else [()] * len(FAILURES)
+    now = {
+        "metrics": pa.concat_tables(metrics),
+        "baselines": pa.concat_tables(baselines),
+        "times": pa.table([pa.array(c, f.type) for c, f in zip(columns, TIMES, strict=True)], schema=TIMES),
+        "failures": pa.table(
+            [pa.array(c, f.type) for c, f in zip(failures, FAILURES, strict=True)], schema=FAILURES
+        ),
+    }
+    before = record.recorded_run(request.out)
+    measured = set(now["metrics"].column("sequence").to_pylist())
+    kept = {s for s in before.get("inputs", {}) if archive_path(request.out, s).exists()} - measured
+    asked = {outcome.plan.sequence for outcome in outcomes} | {error.sequence for error in errors}
+    commands = {s: c for s, c in before.get("commands", {}).items() if s in kept}
     run = {
         "command": request.command,
+        "commands": commands | dict.fromkeys(sorted(measured), request.command),
         "config": config.model_dump(mode="json"),
         "config_digest": config.digest,
         "tool_version": TOOL,
         "started": started.isoformat(timespec="seconds"),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "source": f"{config.source}: {root}",
-        "notes": _notes(config),
-        "inputs": {o.plan.sequence: o.record["inputs"] for o in outcomes if o.record is not None},
+        "notes": _notes(config, commands),
+        "inputs": {s: i for s, i in before.get("inputs", {}).items() if s in kept}
+        | {o.plan.sequence: o.record["inputs"] for o in outcomes if o.record is not None},
         "worker_peak_mb": round(peak, 1),
     }
-    lines = [(e.sequence, e.scan, e.stage, "", e.reason) for e in errors]
-    failures = list(zip(*lines, strict=True)) if lines else [()] * len(FAILURES)
-    record.record(
-        request.out,
-        run,
-        metrics=pa.concat_tables(metrics),
-        baselines=pa.concat_tables(baselines),
-        times=pa.table([pa.array(c, f.type) for c, f in zip(columns, TIMES, strict=True)], schema=TIMES),
-        failures=pa.table(
-            [pa.array(c, f.type) for c, f in zip(failures, FAILURES, strict=True)], schema=FAILURES
-        ),
+    for name in ("metrics", "times"):
+        now[name] = record.with_earlier(request.out, name, now[name], kept)
+    baselines_ = record.with_earlier(
+        request.out, "baselines", now["baselines"], kept | measured, ("sequence", "baseline")
     )
+    now["baselines"] = baselines_.filter(record.among(baselines_, now["metrics"], ("sequence", "name")))
+    now["failures"] = record.with_earlier(request.out, "failures", now["failures"], kept - asked)
+    record.record(request.out, run, **now)
 
 
-def _notes(config: RunConfig) -> list[str]:
-    """What a reader of the report must know."""
+def _notes(config: RunConfig, earlier: dict[str, str]) -> list[str]:
+    """What a reader of the report must know; ``earlier``: by sequence, the command of an earlier run that measured it."""
     notes = []
     if config.labels == "network" and config.keep_movable:
         notes.append("labels: nothing is dropped, so no network was asked; ground is split off by geometry")
+    for command in sorted(set(earlier.values())):
+        names = ", ".join(sorted(s for s, c in earlier.items() if c == command))
+        notes.append(f"{names}: measured by an earlier run, {command}")
     return notes

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from salpcc.pipeline.archive import decode_scans
 from salpcc.pipeline.digests import digest_scan
 from salpcc.pipeline.encode import payloads_of
+from salpcc.pipeline.held import held_scans
 from salpcc.pipeline.logs import passing_log
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.records import write_record
@@ -72,9 +73,18 @@ def finished(
     return True
 
 
-def finish(plan: SequencePlan, results: list[GopResult], config: RunConfig, out: Path) -> dict[str, Any]:
-    """Write the record of a sequence, then its archive from the payload shards; return the record."""
+def finish(
+    plan: SequencePlan, results: list[GopResult], config: RunConfig, out: Path
+) -> dict[str, Any] | None:
+    """Write the record of a sequence, then its archive from the payload shards; return the record.
+
+    None, and nothing is written, where no scan came back, or some failed and the archive that is there holds more.
+    """
     store = ShardStore(out)
+    failed = {error.scan for result in results for error in result.errors}
+    came = plan.n_scans - len(failed)
+    if not came or (failed and came < len(held_scans(archive_path(out, plan.sequence)))):
+        return None
     record: dict[str, Any] = {
         "inputs": inputs_digest(plan, results, config),
         "files": known_files(plan, results),

@@ -123,25 +123,35 @@ def _compare(scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any],
     except SourceError as error:
         verdict.problems.append(str(error))
         return
+    compare(scan, source, ref.path, config, verdict)
+
+
+def compare(scan: Scan, source: Scan, path: str, config: dict[str, Any], verdict: Verdict) -> None:
+    """Compare a decoded scan with its source, which is at ``path``, and say in the verdict what was found.
+
+    Args:
+        config: that the archive was coded with.
+    """
+    given = config.get("labels") == "given"
     if config.get("profile") == "paper":
-        _compare_grid(scan, source, ref.path, config.get("max_error") or GRID_ACCURACY, verdict)
+        _compare_grid(scan, source, path, config.get("max_error") or GRID_ACCURACY, verdict)
         return
     kept = _kept(source, scan, given and not config.get("keep_movable"), verdict.asked_max_error_m or 0.0)
     if kept is None or kept.sum() != len(scan):
-        verdict.problems.append(f"scan {scan.name}: its {len(scan)} points are not those of {ref.path}")
+        verdict.problems.append(f"scan {scan.name}: its {len(scan)} points are not those of {path}")
         return
     verdict.points_dropped += len(source) - len(scan)
     points, intensity = source.points[kept], source.intensity[kept]
     if not same_bits(intensity, scan.intensity):
-        verdict.problems.append(f"scan {scan.name}: intensity differs from {ref.path}")
+        verdict.problems.append(f"scan {scan.name}: intensity differs from {path}")
     elif not same_message(
         source.cloud and source.cloud.keep(kept), scan.cloud, same_bits(points, scan.points)
     ):
-        verdict.problems.append(f"scan {scan.name}: its message differs from {ref.path}")
+        verdict.problems.append(f"scan {scan.name}: its message differs from {path}")
     elif same_bits(points, scan.points):
         verdict.bit_exact_scans += 1
     elif not verdict.asked_max_error_m:
-        verdict.problems.append(f"scan {scan.name}: not bit-exact with {ref.path}")
+        verdict.problems.append(f"scan {scan.name}: not bit-exact with {path}")
     worst = point_errors(points, scan.points).maximum
     verdict.max_error_m = max(verdict.max_error_m or 0.0, worst)
     if verdict.asked_max_error_m and worst > verdict.asked_max_error_m:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from salpcc.schemas.errors import ShardError
@@ -68,6 +70,28 @@ def recorded(out: Path, name: str) -> pa.Table:
             f"{path}: written by version {version}, this tool reads up to {VERSION}; update the tool"
         )
     return _complete(table, SCHEMAS[name])
+
+
+def with_earlier(
+    out: Path, name: str, table: pa.Table, sequences: AbstractSet[str], by: Sequence[str] = ("sequence",)
+) -> pa.Table:
+    """Return a table with the rows that are recorded of ``sequences`` before its own, but those that it has anew.
+
+    Args:
+        by: columns; rows that are alike in them are of one measurement.
+
+    Raises:
+        ShardError: as in :func:`recorded`.
+    """
+    old = recorded(out, name).replace_schema_metadata(None)
+    old = old.filter(pc.is_in(old.column("sequence"), pa.array(sorted(sequences), pa.string())))
+    return pa.concat_tables([old.filter(pc.invert(among(old, table, by))), table.select(old.column_names)])
+
+
+def among(rows: pa.Table, others: pa.Table, by: Sequence[str]) -> pa.Array:
+    """Tell of each row whether one of ``others`` is alike in the text columns ``by``."""
+    keys = [pc.binary_join_element_wise(*(t.column(c) for c in by), "\0") for t in (rows, others)]
+    return pc.is_in(keys[0], keys[1].combine_chunks())
 
 
 def _complete(table: pa.Table, wanted: pa.Schema) -> pa.Table:

@@ -73,11 +73,12 @@ def test_changed_scan_or_configuration_is_done_again(
     shutil.copytree(toy_root, root)
     scan = root / "sequences" / "00" / "velodyne" / "000002.bin"
     scan.write_bytes(scan.read_bytes()[:-16])
-    assert not run(root, out, "00", "01").failed
+    overwrite = GraphOptions(overwrite=True)
+    assert not run(root, out, "00", "01", graph=overwrite).failed
     assert archives(out)["00.mcap"] != archives(done)["00.mcap"]
     assert archives(out)["01.mcap"] == archives(done)["01.mcap"]
     assert verify(out / "archives" / "00.mcap", root).bit_exact_scans == 5
-    run(toy_root, out, "00", max_error=0.01)
+    run(toy_root, out, "00", max_error=0.01, graph=overwrite)
     assert verify(out / "archives" / "00.mcap", toy_root).max_error_m <= 0.01  # type: ignore[operator]
 
 

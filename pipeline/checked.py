@@ -1,0 +1,103 @@
+"""Scans that somebody made of arrays: each is looked at before anything is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.labels import CLASSES
+from salpcc.schemas.scan import Scan
+from salpcc.stages.residual_code.archive import file_name
+
+_LONGEST_NAME = 200  # bytes, as files have an ending besides
+
+
+def checked(scans: Iterable[Scan], config: RunConfig) -> Iterator[Scan]:
+    """Yield the scans with arrays of the types that they are coded as.
+
+    Raises:
+        UsageError: one is no scan that could come back as it is; the message names it and the remedy.
+    """
+    seen: set[str] = set()
+    for scan in scans:
+        if not isinstance(scan, Scan):
+            raise UsageError(f"{type(scan).__name__} is no Scan; make one: Scan(name, points, intensity)")
+        where = f"scan {scan.name!r}"
+        check_name(scan.name, "scan")
+        if scan.name in seen:
+            raise UsageError(f"{where}: there is one of that name already")
+        seen.add(scan.name)
+        if not isinstance(scan.time, int | np.integer) or isinstance(scan.time, bool):
+            raise UsageError(f"{where}: time {scan.time!r} is no whole number of nanoseconds")
+        if not 0 <= scan.time < 1 << 63:
+            raise UsageError(f"{where}: time {scan.time} is negative, or too large for 63 bits")
+        if not isinstance(scan.frame_id, str):
+            raise UsageError(f"{where}: frame_id {scan.frame_id!r} is no text")
+        points = _float32(scan.points, f"{where}: points")
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise UsageError(f"{where}: points of shape {points.shape}; they are (N, 3), x, y, z in metres")
+        intensity = _float32(scan.intensity, f"{where}: intensity")
+        if intensity.shape != (len(points),):
+            raise UsageError(f"{where}: intensity of shape {intensity.shape} for {len(points)} points")
+        if scan.cloud is not None and len(scan.cloud.rest) != len(points):
+            raise UsageError(f"{where}: a cloud of {len(scan.cloud.rest)} points for {len(points)}")
+        yield replace(
+            scan,
+            points=points,
+            intensity=intensity,
+            time=int(scan.time),
+            classes=_classes(scan.classes, len(points), where, config.labels == "given"),
+        )
+
+
+def check_name(name: object, what: str) -> None:
+    """Refuse what cannot name a file that is decoded to.
+
+    Raises:
+        UsageError: so it is.
+    """
+    try:
+        length = len(file_name(name).encode())
+    except ValueError as error:  # of a lone surrogate, too
+        raise UsageError(f"{what} {name!r}: a name is text that a file can have, without slashes") from error
+    if length > _LONGEST_NAME:
+        raise UsageError(f"{what} {str(name)[:20]!r}…: a name has at most {_LONGEST_NAME} bytes")
+
+
+def _float32(values: Any, what: str) -> NDArray[np.float32]:
+    """Values as float32, where that changes none."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise UsageError(f"{what} of type {array.dtype}; float32 is what is coded")
+    with np.errstate(over="ignore", invalid="ignore"):
+        narrow = np.ascontiguousarray(array, np.float32)
+        off = np.abs(narrow.astype(np.float64) - array)
+    if not ((narrow == array) | np.isnan(array)).all():
+        raise UsageError(
+            f"{what} of type {array.dtype} that float32 would change by up to {np.nanmax(off):.3g}; take an offset off "
+            "them, or round them yourself: .astype(numpy.float32)"
+        )
+    return narrow
+
+
+def _classes(values: Any, n_points: int, where: str, needed: bool) -> NDArray[np.uint8] | None:
+    if values is None:
+        if needed:
+            raise UsageError(f"{where}: labels are given, but its classes are None")
+        return None
+    array = np.asarray(values)
+    if array.shape != (n_points,) or array.dtype.kind not in "iu":
+        raise UsageError(
+            f"{where}: classes {array.dtype} of shape {array.shape}; they are whole numbers ({n_points},)"
+        )
+    if n_points and not 0 <= array.min() <= array.max() < len(CLASSES):
+        raise UsageError(
+            f"{where}: class {array.max()} is none of 0 to {len(CLASSES) - 1} (salpcc.schemas.labels.CLASSES)"
+        )
+    return np.ascontiguousarray(array, np.uint8)
