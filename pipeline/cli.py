@@ -1,7 +1,8 @@
-"""The command line. Only here anything is printed and exit codes are chosen: 0 done, 1 failed, 2 wrong use."""
+"""The command line. Only here anything is printed and exit codes are chosen: 0 done, 1 failed, 2 wrong use, 130 interrupted."""
 
 from __future__ import annotations
 
+import errno
 import sys
 
 import typer
@@ -13,6 +14,16 @@ from salpcc.schemas.errors import SalpccError, UsageError
 from salpcc.schemas.files import unreachable, why
 
 _INTERRUPTED = 130  # typer's exit code for Ctrl-C
+# A file or folder that cannot be what it was named for is wrong use; a disk that fails is not.
+_WRONG_PLACE = (
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.EEXIST,
+    errno.ENAMETOOLONG,
+)
 _ON_THIS_MACHINE = ("calibrate", "localise", "map", "simulate", "train")  # others take URLs
 
 app = typer.Typer(
@@ -58,12 +69,16 @@ def main() -> None:
     except SalpccError as error:
         _fail(str(error), 1)
     except Exception as error:
-        if not unreachable(error):
+        if unreachable(error):
+            _fail(f"{why(error)}; check the address, and the credentials in the environment", 1)
+        if not isinstance(error, OSError):
             raise
-        _fail(f"{why(error)}; check the address, and the credentials in the environment", 1)
+        where = f"{error.filename}: " if error.filename else ""
+        wrong_place = error.errno in _WRONG_PLACE
+        _fail(f"{where}{why(error)}{'; name another place' if wrong_place else ''}", 2 if wrong_place else 1)
     except SystemExit as end:
         if end.code == _INTERRUPTED:
-            _fail("interrupted; the same command goes on where it stopped", 1)
+            _fail("interrupted; the same command goes on where it stopped", _INTERRUPTED)
         raise
 
 

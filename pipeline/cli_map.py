@@ -117,10 +117,11 @@ def map_(
         typer.echo(json.dumps(summary, indent=1))
     else:
         voxels = summary["voxels"]
+        unknown = len(summary.get("archives_without_classes", [])) == len(archives)
         typer.echo(
             f"{summary['scans']} scans, {summary['points_in']} points: {voxels['kept']} voxels in "
-            f"{len(summary['tiles'])} tiles; taken out: {voxels['dropped']} of movable classes, "
-            f"{voxels['carved']} seen through"
+            f"{len(summary['tiles'])} tiles; taken out: {voxels['carved']} seen through, "
+            + ("movable classes are not known" if unknown else f"{voxels['dropped']} of movable classes")
         )
         if summary["quality"]:
             _show(summary["quality"])

@@ -83,9 +83,7 @@ def sequences(
     several_scans: Annotated[
         bool, typer.Option(help="Let the scans of a group settle their classes together")
     ] = True,
-    columns: Annotated[
-        int, typer.Option(min=4, max=5, help="Numbers a point in .bin files; 5: nuScenes, with rings")
-    ] = 4,
+    columns: Annotated[int, typer.Option(help="Numbers a point in .bin files; 5: nuScenes, with rings")] = 4,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
     effort: EffortLevel = "default",
     coder: Annotated[

@@ -61,6 +61,8 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
         "distributed.nanny.pre-spawn-environ": _WORKER_ENVIRONMENT,
         "distributed.admin.tick.limit": "60s",
         "distributed.scheduler.worker-saturation": 1.0,
+        # In this very process the scheduler has no address of its own, and Dask would name that of the machine.
+        "distributed.dashboard.link": "{scheme}://127.0.0.1:{port}/status",
         # Nobody looks at it, and up to Python 3.11 it can lock up with a thread that begins (gh-106883).
         "distributed.worker.profile.enabled": False,
     }
@@ -74,6 +76,7 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
             processes=count > 0,
             memory_limit=0,
             dashboard_address="127.0.0.1:0",
+            worker_dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,

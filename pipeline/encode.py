@@ -86,8 +86,11 @@ def resolve(config: RunConfig) -> RunConfig:
     for field in ("sensor", "weights"):  # a file lies where this process says, whoever reads it
         if (file := Path(getattr(config, field))).suffix in (".json", ".safetensors"):
             known[field] = str(file.absolute())
+    digest = weights_digest(
+        weights_path(config.weights)
+    )  # asked for in any case: a wrong name is told, used or not
     if config.uses_network:
-        known["weights_digest"] = weights_digest(weights_path(config.weights))
+        known["weights_digest"] = digest
     return config.model_copy(update=known)
 
 

@@ -14,6 +14,7 @@ from salpcc.pipeline.cluster import connect
 from salpcc.pipeline.flow import each
 from salpcc.pipeline.localise_tasks import Rival, Stretch, calibrate, register_stretch
 from salpcc.pipeline.lock import locked
+from salpcc.pipeline.map import NO_CLASSES
 from salpcc.pipeline.map_plan import F64
 from salpcc.pipeline.plan import missing_root
 from salpcc.pipeline.progress import Report, Silent, bar
@@ -67,6 +68,9 @@ def localise(request: LocaliseRequest) -> pa.Table:
         steps = sum(len(s.pairs) for s in stretches)
         watch = nullcontext(Silent()) if request.quiet else bar(steps, client.dashboard_link)
         report: Report = stack.enter_context(watch)
+        for reader in (reader for readers in by_sequence.values() for reader in readers):
+            if not reader.has_classes:
+                report.say(f"{reader.path}: {NO_CLASSES}; it is registered with them only")
         asked = [
             (str(reader.path), str(request.against), name)
             for name in request.rivals

@@ -23,7 +23,7 @@ from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.mapping.registration import Method, icp, rotation_error, translation_error
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
-VERSION = 1
+VERSION = 2
 _METHODS: dict[str, Method] = {"point to point": "point", "point to plane": "plane"}
 _ROUNDS = 12  # of halving, to find the error at which a rival takes as many bits
 
@@ -51,13 +51,20 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class _Cloud:
-    """One way to have the scans: a name, what was asked, bits a point, and points with a mark of movable ones."""
+    """One way to have the scans: a name, what was asked, bits a point, and points with a mark of movable ones.
+
+    ``movable`` is None where nobody knows.
+    """
 
     cloud: str
     max_error: float | None
     bpp: float | None
     points: NDArray[np.float32]
-    movable: NDArray[np.bool_]
+    movable: NDArray[np.bool_] | None
+
+    def registered(self, with_movable: bool) -> NDArray[np.float32]:
+        """The points to register by."""
+        return self.points if with_movable or self.movable is None else self.points[~self.movable]
 
 
 def calibrate(archive: str, root: str, name: str) -> Rival:
@@ -97,9 +104,10 @@ def register_stretch(stretch: Stretch, rivals: Sequence[Rival], thin: int, out: 
         truth = np.array(step).reshape(4, 4)
         known: dict[tuple[int, int, str], NDArray[np.float64]] = {}
         for before, after in zip(*clouds, strict=True):
-            for movable in (True, False):
-                target = before.points[movable | ~before.movable]
-                source_points = after.points[movable | ~after.movable][::thin]
+            known_classes = before.movable is not None and after.movable is not None
+            for movable in (True, False) if known_classes else (True,):
+                target = before.registered(movable)
+                source_points = after.registered(movable)[::thin]
                 for title, method in _METHODS.items():
                     # The same points give the same pose: what is bit-exact is registered once.
                     key = (zlib.crc32(target.tobytes()), zlib.crc32(source_points.tobytes()), method)
@@ -129,7 +137,13 @@ def _ours(archives: Sequence[tuple[Archive, float]], place: int) -> Iterator[_Cl
         scan = archive[place]
         config = archive.config
         cloud = str(config.get("profile", "sensor"))
-        yield _Cloud(cloud, config.get("max_error") or 0.0, bits, scan.points, _movable(scan))
+        yield _Cloud(
+            cloud,
+            config.get("max_error") or 0.0,
+            bits,
+            scan.points,
+            None if scan.classes is None else _movable(scan),
+        )
 
 
 def _theirs(scan: Scan, rivals: Sequence[Rival]) -> Iterator[_Cloud]:
@@ -148,8 +162,7 @@ def _theirs(scan: Scan, rivals: Sequence[Rival]) -> Iterator[_Cloud]:
 
 
 def _movable(scan: Scan) -> NDArray[np.bool_]:
-    if scan.classes is None:
-        return np.zeros(len(scan), np.bool_)
+    assert scan.classes is not None
     return np.asarray(GROUP_OF_CLASS[scan.classes] == MOVABLE)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from salpcc.pipeline.cluster import connect
 from salpcc.pipeline.lock import locked
 from salpcc.pipeline.map_plan import MapPlan, plan_map
-from salpcc.pipeline.map_quality import labelled
+from salpcc.pipeline.map_quality import CLASSES_ONLY, labelled
 from salpcc.pipeline.map_request import MapRequest
 from salpcc.pipeline.map_steps import build_all, gather_all, place_all, score_all
 from salpcc.pipeline.map_submaps import Submap
@@ -25,8 +25,10 @@ from salpcc.pipeline.store import TOOL, ShardStore
 from salpcc.schemas.files import atomic
 from salpcc.schemas.work import digest_of
 from salpcc.stages.mapping.cleaners import cleaner
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
 VERSION = 1
+NO_CLASSES = "no classes in it, so nothing tells what is movable; encode it without --keep-movable, or with --labels given"
 
 
 def make_map(request: MapRequest) -> dict[str, Any]:
@@ -53,6 +55,9 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         steps = (3 if refs is not None else 2) * plan.n_scans
         watch = nullcontext(Silent()) if request.quiet else bar(steps, client.dashboard_link)
         report: Report = stack.enter_context(watch)
+        unclassified = _unclassified(request)
+        if unclassified:
+            report.say(f"{', '.join(unclassified)}: {NO_CLASSES}")
         submaps = gather_all(client, plan, request, report)
         places = place_all(client, plan, submaps, request.out)
         tiles = build_all(client, plan, submaps, places, request, report)
@@ -62,14 +67,24 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         if refs is not None:
             groups = list(zip(plan.groups, refs, strict=True))
             rows = score_all(client, plan, groups, scans, tiles, request, report, cpu_s)
+            if len(unclassified) == len(request.archives):  # they dropped nothing: that was not measured
+                rows = [row for row in rows if row["cleaner"] != CLASSES_ONLY]
         write_whole(request, plan, store, tiles, scans, rows)
-        summary = _summary(request, plan, inputs, started, submaps, tiles) | {"quality": rows}
+        summary = _summary(request, plan, inputs, started, submaps, tiles)
+        summary |= {"quality": rows, "archives_without_classes": unclassified}
         with atomic(request.out / "map.json") as stream:
             stream.write(json.dumps(summary, indent=1).encode() + b"\n")
         if not request.keep_shards:
             for sequence in {plan.sequence, *(group.sequence for group in plan.groups)}:
                 store.drop_sequence(sequence, ("submap", "views", "tile", "truth"))
     return summary
+
+
+def _unclassified(request: MapRequest) -> list[str]:
+    """The archives that do not say what is movable, where that is to be taken out."""
+    if request.config.keep_movable:
+        return []
+    return [str(path) for path in request.archives if not ArchiveReader(path).has_classes]
 
 
 def _summary(

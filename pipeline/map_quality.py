@@ -29,11 +29,12 @@ from salpcc.stages.mapping.voxel import keys_of
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
 VERSION = 2
+CLASSES_ONLY = "ours, classes only"
 # A row of the table: its name, and the bits that keep an entry out of that map.
 CLEANERS = {
     "none": 0,
     "ours, carving only": CARVED,
-    "ours, classes only": DROPPED,
+    CLASSES_ONLY: DROPPED,
     "ours": CARVED | DROPPED,
 }
 

@@ -47,9 +47,16 @@ def plan_run(
     missing: list[ScanError] = []
     for sequence in sequences:
         try:
-            refs = select(_scans(root, sequence, config, out), config.frames)
+            there = _scans(root, sequence, config, out)
+            refs = select(there, config.frames)
+            if not there:
+                raise SourceError(f"{root}: sequence {sequence} has no scans")
             if not refs:
-                raise SourceError(f"{root}: sequence {sequence} has no scans in the frames asked for")
+                numbers = [ref.number for ref in there]
+                raise SourceError(
+                    f"{root}: sequence {sequence} has no scans in the frames asked for; frames {min(numbers)} to "
+                    f"{max(numbers)} are there"
+                )
         except SourceError as error:
             missing.append(ScanError(sequence, "", "ingest", str(error)))
             continue

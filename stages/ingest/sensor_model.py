@@ -125,6 +125,8 @@ def load_sensor(name: str | Path) -> SensorModel:
         path = Path(name)
     try:
         return SensorModel.from_json(path.read_bytes())
+    except SensorError as error:
+        raise SensorError(f"{path}: {error}") from error
     except OSError as error:
         shipped = ", ".join(sorted(p.stem for p in SENSORS.glob("*.json")))
         raise SensorError(f"no sensor model {name}: give a JSON file or one of {shipped}") from error

@@ -129,6 +129,11 @@ class ArchiveReader:
                 raise ArchiveError(f"{self.path}: {at.name}: {error}") from error
 
     @property
+    def has_classes(self) -> bool:
+        """Whether classes of the points are stored; one that keeps all points without being given labels has none."""
+        return any(entry.classes for gop in self.gops for entry in gop)
+
+    @property
     def passing_bytes(self) -> int:
         """Bytes of the file that hold what passed through."""
         chunks = sum(chunk.chunk_length + chunk.message_index_length for chunk in self._passing)

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from salpcc.pipeline.export import EXPORTS
+
 COMMAND = [sys.executable, "-m", "salpcc.pipeline.cli"]
 
 
@@ -106,14 +108,57 @@ def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_
         (["train", "coder", "--data", ".", "--effort", "fast"], ["no sweeps to train on"]),
         (["report", "nowhere"], ["no report there"]),
         (["calibrate", "nowhere", "--out", "s.json"], ["nowhere"]),
+        (["run", "sequences", "04", "--root", ".", "--columns", "6"], ["--columns"]),
+        (["simulate", "--out", "file/sub", "--scans", "1"], ["file", "name another place"]),
+        (
+            ["run", "sequences", "04", "--source", "simulated", "--out", "file/sub"],
+            ["file/sub", "cannot write"],
+        ),
     ],
 )
 def test_wrong_use_is_one_line_and_exit_code_2(
     arguments: list[str], words: list[str], tmp_path: Path
 ) -> None:
+    (tmp_path / "file").write_text("no folder")
     result = cli(*arguments, cwd=tmp_path)
     line = error_of(result)
     assert result.returncode == 2 and all(word in line for word in words), line
+
+
+def test_outputs_that_cannot_be_written_are_named(done: Path, toy_root: Path, tmp_path: Path) -> None:
+    file, archive = tmp_path / "file", done / "archives" / "00.mcap"
+    file.write_text("no folder")
+    for form in EXPORTS:
+        if form != "bag":  # there was no ROS 1 log
+            result = cli("decode", archive, "--to", form, "--out", file)
+            assert result.returncode == 2 and str(file) in error_of(result), form
+    result = cli("calibrate", toy_root / "sequences" / "00", "--out", file / "s.json")
+    assert result.returncode == 2 and str(file) in error_of(result)
+    assert file.read_text() == "no folder"
+
+
+def test_frames_that_are_there_are_told(done: Path, toy_root: Path, tmp_path: Path) -> None:
+    result = cli("run", "sequences", "00", "--root", toy_root, "--frames", "7:9", "--out", tmp_path / "out")
+    assert result.returncode == 2 and "frames 0 to 4 are there" in error_of(result)
+    result = cli("decode", done / "archives" / "00.mcap", "--to", "ply", "--frames", "7:9", "--out", tmp_path)
+    assert result.returncode == 2 and "it holds 000000 to 000004" in error_of(result)
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        (["--weights", "tiny", "--keep-movable"], ["segment_tiny", "small"]),  # not used, but wrong
+        (["--sensor", "odd.json"], ["odd.json", "not a sensor model"]),
+        (["--sensor", "no.json"], ["no.json", "hdl64e"]),
+    ],
+)
+def test_files_that_an_option_names_are_named(
+    toy_root: Path, tmp_path: Path, option: list[str], said: list[str]
+) -> None:
+    (tmp_path / "odd.json").write_text('{"version": 1}')
+    result = cli("run", "sequences", "00", "--root", toy_root, *option, cwd=tmp_path)
+    assert result.returncode == 1 and all(word in error_of(result) for word in said), result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("content", [b"", b"not mcap at all" * 10])

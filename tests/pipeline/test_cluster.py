@@ -9,9 +9,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from urllib.request import urlopen
 
+import psutil
 import pytest
 
+from salpcc.pipeline.cluster import connect
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.store import read_shard
@@ -145,3 +148,18 @@ def test_shards_say_nothing_of_the_machine(
             table, facts = read_shard(path)
             content += repr((table.to_pydict(), facts)).encode()
         assert str(tmp_path).encode() not in content, path
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_only_this_machine_is_listened_to_and_the_dashboard_answers(workers: int) -> None:
+    with connect(workers, None) as client:
+        here = psutil.Process()
+        listening = {
+            connection.laddr.ip
+            for process in (here, *here.children(recursive=True))
+            for connection in process.net_connections()
+            if connection.status == psutil.CONN_LISTEN
+        }
+        assert listening == {"127.0.0.1"}
+        with urlopen(client.dashboard_link, timeout=30) as answer:
+            assert answer.status == 200

@@ -117,7 +117,7 @@ def test_interrupted_run_says_so_and_goes_on(
     wait_for_shards(tmp_path, 5, first)
     os.killpg(first.pid, signal.SIGINT)  # as the terminal does: to all of the group
     _, said = first.communicate(timeout=120)
-    assert first.returncode == 1
+    assert first.returncode == 130
     assert said.strip().splitlines()[-1] == "error: interrupted; the same command goes on where it stopped"
     assert "Traceback" not in said
     assert again(tmp_path) == whole

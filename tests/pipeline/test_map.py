@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -253,3 +255,49 @@ def test_localisation_in_bit_exact_scans_is_that_in_the_originals(
             assert ours["translation_m_mean"] == source["translation_m_mean"] < 1.0
             assert ours["rotation_deg_mean"] == source["rotation_deg_mean"]
             assert source["bpp"] is None and 3 < ours["bpp"] < 40
+
+
+@pytest.fixture(scope="module")
+def without_classes(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An archive of the drive that keeps everything and says of nothing what it is."""
+    out = tmp_path_factory.mktemp("unclassified")
+    config = RunConfig(source="simulated", keep_movable=True, effort="fast", gop=5)
+    graph = GraphOptions(last="residual_code")
+    run_sequences(RunRequest(config, [SEQUENCE], out, root, 0, graph=graph, quiet=True))
+    return out / "archives" / f"{SEQUENCE}.mcap"
+
+
+def test_a_map_of_an_archive_without_classes_says_so(
+    request_: Callable[..., MapRequest], without_classes: Path, root: Path, tmp_path: Path
+) -> None:
+    """Nothing that was not measured stands in its table."""
+    request = request_(tmp_path / "out", archives=[without_classes], against=root)
+    summary = make_map(request)
+    assert summary["archives_without_classes"] == [str(without_classes)]
+    assert summary["voxels"]["dropped"] == 0
+    assert "ours, classes only" not in {row["cleaner"] for row in summary["quality"]}
+    kept = make_map(
+        replace(request, out=tmp_path / "kept", config=CONFIG.model_copy(update={"keep_movable": True}))
+    )
+    assert kept["archives_without_classes"] == []
+
+
+@pytest.mark.usefixtures("open3d")
+def test_localisation_without_classes_measures_with_movables_only(
+    without_classes: Path, root: Path, tmp_path: Path
+) -> None:
+    request = LocaliseRequest([without_classes], root, tmp_path, every=8, thin=16, workers=0, quiet=True)
+    rows = registration_figures(localise(request))
+    assert {(row["cloud"], row["movable"]) for row in rows} == {
+        ("source", True), ("source", False), ("sensor", True),
+    }  # fmt: skip
+
+
+def test_commands_say_at_once_that_there_are_no_classes(
+    without_classes: Path, root: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "salpcc.pipeline.cli", "map", str(without_classes), "--workers", "0"]
+    result = subprocess.run([*command, "--out", str(tmp_path)], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert f"{without_classes}: no classes in it" in result.stderr and "--keep-movable" in result.stderr
+    assert "movable classes are not known" in result.stdout
