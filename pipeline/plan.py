@@ -47,12 +47,12 @@ def plan_run(
     missing: list[ScanError] = []
     for sequence in sequences:
         try:
-            there = _scans(root, sequence, config, out)
-            refs = select(there, config.frames)
-            if not there:
+            listed = _scans(root, sequence, config, out)
+            refs = select(listed, config.frames)
+            if not listed:
                 raise SourceError(f"{root}: sequence {sequence} has no scans")
             if not refs:
-                numbers = [ref.number for ref in there]
+                numbers = [ref.number for ref in listed]
                 raise SourceError(
                     f"{root}: sequence {sequence} has no scans in the frames asked for; frames {min(numbers)} to "
                     f"{max(numbers)} are there"
