@@ -8,13 +8,12 @@ import re
 import subprocess
 import sys
 import sysconfig
-import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from pkgutil import iter_modules
+from pkgutil import walk_packages
 
 import pytest
 
@@ -66,9 +65,8 @@ def use_all(out: str) -> None:
         top = name.partition(".")[0]
         if top != "salpcc" and find_spec(top) is not None:
             import_module(name)
-    packages = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    for package in packages:
-        for module in iter_modules(import_module(package).__path__, f"{package}."):
+    for room in ("schemas", "stages", "pipeline"):
+        for module in walk_packages(import_module(f"salpcc.{room}").__path__, f"salpcc.{room}."):
             import_module(module.name)
     run = f"run sequences 00 --source simulated --frames 0:2 --workers 0 --out {out}"
     verify = f"verify {out}/archives/00.mcap --against {out}/simulated"
