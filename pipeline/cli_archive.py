@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,8 +14,9 @@ from rich.table import Table
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.cli_run import PLACE, parse_frames
-from salpcc.pipeline.export import EXPORTS
+from salpcc.pipeline.export import EXPORTS, Export
 from salpcc.pipeline.inspect import inspect as describe
+from salpcc.pipeline.laz_export import to_laz
 from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.recover import recover as recover_archive
 from salpcc.pipeline.verify import verify as verify_archive
@@ -45,17 +47,19 @@ def decode(
     to: Annotated[str, typer.Option(help=" | ".join(EXPORTS))],
     out: Annotated[Path, typer.Option(parser=location, metavar=PLACE, help="Where the scans are written")],
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="Coordinate system to state in LAZ, such as EPSG:25832")
+    ] = None,
 ) -> None:
     """Turn an archive back into scans, bit for bit where it was made so."""
     if to not in EXPORTS:
         raise UsageError(f"--to {to}: choose from {', '.join(EXPORTS)}")
+    if crs and to != "laz":
+        raise UsageError(f"--crs: --to {to} has no place for it; --to laz has")
+    export: Export = partial(to_laz, crs=crs) if crs else EXPORTS[to]
     with Archive.open(archive) as opened:
-        if to == "mcap" and any(channel.encoding == "ros1" for channel in opened.log.values()):
-            STDERR.print(
-                "ROS 2 has no header.seq: the numbers in ROS 1 headers stay behind; --to bag keeps them"
-            )
         count = 0
-        for path in EXPORTS[to](opened, _selected(opened, frames), out):
+        for path in export(opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True)):
             count += 1
             folder = path.parent
         if not count:

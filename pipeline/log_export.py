@@ -16,6 +16,7 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.ros2 import ros2_channel
+from salpcc.pipeline.tell import Tell, in_silence
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic, atomic_file
 from salpcc.schemas.log import LogChannel, LogMessage, LogMetadata
@@ -29,7 +30,7 @@ _POINTS = LogChannel(
 )
 
 
-def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
+def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_silence) -> Iterator[Path]:
     """Write ``out/SEQ/SEQ.mcap`` and ``metadata.yaml``: every message as recorded, ROS 1 as ROS 2.
 
     Scans that were no messages become ``sensor_msgs/msg/PointCloud2`` of x, y, z, intensity, bits unchanged. Of an
@@ -37,6 +38,8 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path
     the ids of channels, the order of messages of the same time, chunks and their compression, indexes, the library
     in the header, schemas that no channel uses. Of ROS 1, ``header.seq`` goes: ROS 2's headers have none.
     """
+    if any(channel.encoding == "ros1" for channel in archive.log.values()):
+        tell("ROS 2 has no header.seq: the numbers in ROS 1 headers stay behind; --to bag keeps them")
     path = out / archive.sequence / f"{archive.sequence}.mcap"
     counts: Counter[tuple[str, str, str]] = Counter()
     first, last = 2**63, 0
@@ -69,7 +72,7 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path
     yield path
 
 
-def to_bag(archive: Archive, scans: Iterator[Scan], out: Path) -> Iterator[Path]:
+def to_bag(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_silence) -> Iterator[Path]:
     """Write ``out/SEQ.bag``, a ROS 1 bag of the very messages that the archive was made from.
 
     Raises:

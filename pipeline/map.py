@@ -27,7 +27,7 @@ from salpcc.schemas.work import digest_of
 from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
-VERSION = 1
+VERSION = 2  # 2: LAZ of one unit of intensity
 NO_CLASSES = "no classes in it, so nothing tells what is movable; encode it without --keep-movable, or with --labels given"
 
 

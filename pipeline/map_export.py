@@ -10,8 +10,10 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from salpcc.pipeline.las import intensity_text, las_intensity, text_record
+from salpcc.pipeline.ply import write_ply
 from salpcc.schemas.files import atomic
-from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS
+from salpcc.schemas.labels import ASPRS_OF_CLASS, CLASSES
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.stages.mapping.voxel import SYNTHETIC, Voxels
 
@@ -30,18 +32,23 @@ _FIELDS = (
 _ROW = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("count", "<u4"), ("class", "u1")]
 )
-_PLY_KINDS = {"<f4": "float", "<u4": "uint", "|u1": "uchar"}
 _PCD_KINDS = {"f": "F", "u": "U"}
 
 
-def to_laz(voxels: Voxels, corner: F64, path: Path) -> None:
-    """Write LAZ 1.4: places to 1 mm, ASPRS classification, our class as user data, points as ``count``."""
+def to_laz(voxels: Voxels, corner: F64, factor: int, path: Path) -> None:
+    """Write LAZ 1.4: places to 1 mm, intensity times ``factor`` and as it is, ASPRS classification.
+
+    Our class is user data; ``count`` says how many points were fused.
+    """
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, LAZ_SCALE), corner
     header.add_extra_dim(laspy.ExtraBytesParams("count", np.uint32, "points fused"))
+    header.add_extra_dim(laspy.ExtraBytesParams("mean_intensity", np.float32))
+    header.vlrs.append(text_record(intensity_text(factor, np.dtype(np.float32), "mean_intensity")))
     las = laspy.LasData(header)
     las.xyz = voxels.xyz
-    las.intensity = np.rint(np.clip(voxels.intensity.astype(np.float64), 0, 1) * 65535).astype(np.uint16)
+    las.intensity, _ = las_intensity(voxels.intensity, factor)
+    las.mean_intensity = voxels.intensity
     las.classification = _ASPRS[voxels.classes]
     las.user_data = voxels.classes
     las.synthetic = (voxels.classes == SYNTHETIC).astype(np.uint8)
@@ -50,16 +57,13 @@ def to_laz(voxels: Voxels, corner: F64, path: Path) -> None:
         las.write(stream, do_compress=True)
 
 
-def to_ply(voxels: Voxels, corner: F64, path: Path) -> None:
+def to_ply(voxels: Voxels, corner: F64, factor: int, path: Path) -> None:
     """Write a binary PLY, float32 places in the map's frame."""
     rows = _rows(voxels)
-    lines = [f"property {_PLY_KINDS[rows.dtype[name].str]} {name}\n" for name in rows.dtype.names or ()]
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{''.join(lines)}end_header\n"
-    with atomic(path) as stream:
-        stream.write(header.encode() + rows.tobytes())
+    write_ply({name: rows[name] for name in rows.dtype.names or ()}, path)
 
 
-def to_pcd(voxels: Voxels, corner: F64, path: Path) -> None:
+def to_pcd(voxels: Voxels, corner: F64, factor: int, path: Path) -> None:
     """Write a binary PCD 0.7, float32 places in the map's frame."""
     rows = _rows(voxels)
     names = rows.dtype.names or ()
@@ -74,8 +78,8 @@ def to_pcd(voxels: Voxels, corner: F64, path: Path) -> None:
         stream.write(header.encode() + rows.tobytes())
 
 
-# By suffix, without the dot; each takes a tile's entries, its corner and the path.
-WRITERS: dict[str, Callable[[Voxels, F64, Path], None]] = {"laz": to_laz, "ply": to_ply, "pcd": to_pcd}
+# By suffix, without the dot; each takes a tile's entries, its corner, LAS's factor of intensity and the path.
+WRITERS: dict[str, Callable[[Voxels, F64, int, Path], None]] = {"laz": to_laz, "ply": to_ply, "pcd": to_pcd}
 FORMATS = (*WRITERS, "mcap")
 
 
@@ -103,14 +107,6 @@ def _rows(voxels: Voxels) -> NDArray[np.void]:
     return rows
 
 
-def _asprs() -> NDArray[np.uint8]:
-    """Classes of the LAS specification: 2 ground, 5 high vegetation, 6 building; 1 is unclassified."""
-    out = np.ones(256, np.uint8)
-    out[: len(CLASSES)][GROUP_OF_CLASS == GROUND] = 2
-    for code, names in ((5, ("vegetation", "trunk")), (6, ("building",))):
-        out[[i for i, c in enumerate(CLASSES) if c.name in names]] = code
-    out[SYNTHETIC] = 2
-    return out
-
-
-_ASPRS = _asprs()
+_ASPRS = np.ones(256, np.uint8)
+_ASPRS[: len(CLASSES)] = ASPRS_OF_CLASS
+_ASPRS[SYNTHETIC] = 2

@@ -33,7 +33,7 @@ from salpcc.stages.mapping.voxel import Voxels
 
 F64 = NDArray[np.float64]
 
-VERSION = 1
+VERSION = 2  # 2: LAZ of one unit of intensity
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,15 @@ def parts_of(tile: Tile, submaps: Sequence[Submap], poses: Sequence[F64], size: 
 
 
 def build_tile(
-    tile: Tile, parts: Sequence[Part], sequence: str, config: MapConfig, formats: Sequence[str], out: Path
+    tile: Tile,
+    parts: Sequence[Part],
+    sequence: str,
+    config: MapConfig,
+    formats: Sequence[str],
+    factor: int,
+    out: Path,
 ) -> TileResult:
-    """Build a tile and write it in every format, unless all of it is there."""
+    """Build a tile and write it in every format, unless all of it is there; ``factor`` is LAS's of intensity."""
     store = ShardStore(out)
     digest = digest_of(
         VERSION, [asdict(part) for part in parts], asdict(tile), config.model_dump(mode="json")
@@ -114,7 +120,7 @@ def build_tile(
         started = time.process_time()
         voxels, against = read_tile(store, ref)
         for form, path in missing:
-            WRITERS[form](voxels[against == 0], tile.corner(config.tile), path)
+            WRITERS[form](voxels[against == 0], tile.corner(config.tile), factor, path)
         stamp.write_text(digest)
         figures["cpu_ms"] += 1e3 * (time.process_time() - started)
     return TileResult(tile, ref, **figures)

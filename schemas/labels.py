@@ -48,6 +48,15 @@ CLASSES: tuple[LabelClass, ...] = (
 
 GROUP_OF_CLASS: NDArray[np.uint8] = np.array([c.group for c in CLASSES], np.uint8)
 
+# Of the LAS specification: 2 ground, 5 high vegetation, 6 building; 1 is unclassified.
+ASPRS_OF_CLASS: NDArray[np.uint8] = np.array(
+    [
+        2 if c.group == GROUND else {"vegetation": 5, "trunk": 5, "building": 6}.get(c.name, 1)
+        for c in CLASSES
+    ],
+    np.uint8,
+)
+
 _UNKNOWN = 255
 _CLASS_OF_ID: NDArray[np.uint8] = np.full(1 << 16, _UNKNOWN, np.uint8)
 for _index, _class in enumerate(CLASSES):
@@ -66,3 +75,12 @@ def classes_of_labels(labels: NDArray[np.uint32]) -> NDArray[np.uint8]:
         unknown = int(ids[classes == _UNKNOWN][0])
         raise ValueError(f"label id {unknown} is not a SemanticKITTI class")
     return classes
+
+
+def labels_of_classes(classes: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Map class indices to raw SemanticKITTI labels; inverse of :func:`classes_of_labels`.
+
+    Of several labels of a class it takes the first. Ground of no known kind, which has no label, becomes other-ground.
+    """
+    other_ground = next(c.ids[0] for c in CLASSES if c.name == "other-ground")
+    return np.array([c.ids[0] if c.ids else other_ground for c in CLASSES], np.uint32)[classes]

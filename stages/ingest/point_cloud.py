@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -99,25 +99,41 @@ def point_rows(scan: Scan) -> Bytes:
 
 
 def scan_columns(scan: Scan) -> dict[str, NDArray[Any]]:
-    """Return the named fields ``(N,)`` of a scan, each with its own type; x, y, z and intensity come first."""
-    columns: dict[str, NDArray[Any]] = dict(zip("xyz", scan.points.T, strict=True))
-    columns["intensity"] = scan.intensity
+    """Return every field ``(N,)`` of a scan under its own name and with its own type, in the recorded order.
+
+    Further elements of a field, and a field named like one before it, go under names that are free: NAME_1, NAME_2 …
+    """
     if scan.cloud is None:
-        return columns
+        return dict(zip(("x", "y", "z", "intensity"), (*scan.points.T, scan.intensity), strict=True))
     layout = scan.cloud.layout
-    # A float64 coordinate or another kind of intensity stands in for its float32.
-    seen = Counter(name for name, slot in zip(columns, layout.slots, strict=True) if slot is not None)
-    for field in layout.columns:
-        name = re.sub(r"\W", "_", field.name)
-        if name:
-            columns[f"{name}_{seen[name]}" if seen[name] else name] = scan.cloud.values(field)
-            seen[name] += 1
+    rows = point_rows(scan)
+    names = [re.sub("[^!-~]", "_", field.name) or "unnamed" for field in layout.fields]
+    taken = set(names)
+    columns: dict[str, NDArray[Any]] = {}
+    for name, field in zip(names, layout.fields, strict=True):
+        kind = field.dtype.newbyteorder(">" if layout.big_endian else "<")
+        for element in range(max(field.count, 1)):  # some drivers say 0 and mean 1
+            start = field.offset + element * kind.itemsize
+            if start + kind.itemsize <= layout.point_step:
+                raw = np.ascontiguousarray(rows[:, start : start + kind.itemsize])
+                free = name if name not in columns else free_name(name, taken)
+                columns[free] = raw.view(kind)[:, 0].astype(field.dtype)
     return columns
+
+
+def free_name(name: str, taken: set[str]) -> str:
+    """Return NAME_1, or the first such name that is not taken, and take it."""
+    free = next(f"{name}_{n}" for n in count(1) if f"{name}_{n}" not in taken)
+    taken.add(free)
+    return free
 
 
 def coordinate_rounding(scan: Scan) -> float:
     """The largest distance, in metres, of a point's float64 coordinates from its float32 ones; 0 without such."""
-    wide = [scan_columns(scan)[axis].astype(np.float64) for axis in "xyz"]
+    if scan.cloud is None or None not in scan.cloud.layout.slots[:3]:
+        return 0.0
+    columns = scan_columns(scan)
+    wide = [columns[axis].astype(np.float64) for axis in "xyz"]
     with np.errstate(invalid="ignore", over="ignore"):
         # What is not finite stays so; what float32 cannot hold is infinitely far off.
         off = [np.where(np.isfinite(v), v - scan.points[:, i], 0.0) for i, v in enumerate(wide)]
@@ -147,7 +163,8 @@ def intensity_of(cloud: Cloud) -> NDArray[np.float32]:
     column = next((c for c in cloud.layout.columns if field is not None and c.offset == field.offset), None)
     if field is None or column is None or column.datatype != field.datatype:
         return np.zeros(len(cloud.rest), np.float32)
-    return cloud.values(column).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return cloud.values(column).astype(np.float32)
 
 
 def _float32(rows: Bytes, field: Field, layout: Layout) -> NDArray[np.float32]:

@@ -2,15 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.schemas.config import RunConfig
+from salpcc.schemas.log import LogMessage
+from salpcc.schemas.messages import CloudMessage
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.point_cloud import message_to_scan
+
+
+def cloud_of(
+    rows: NDArray[Any], names: Mapping[str, str] = MappingProxyType({}), topic: str = "", number: int = 0
+) -> Scan:
+    """A scan recorded as a message of structured rows; ``names`` are recorded names of fields that differ from theirs."""
+    kinds = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+    fields = []
+    for name in rows.dtype.names or ():
+        kind, offset = (rows.dtype.fields or {})[name][:2]
+        fields.append((names.get(name, name), offset, kinds[kind.base.str[1:]], int(np.prod(kind.shape))))
+    time = 1_600_000_000_000_000_000 + number * 100_000_000
+    message = CloudMessage(
+        time, "lidar", len(rows), rows.tobytes(), point_step=rows.dtype.itemsize, fields=tuple(fields)
+    )
+    name = f"{topic.strip('/')}-{number:06d}" if topic else f"{number:06d}"
+    return message_to_scan(LogMessage(1, time, time, 0, message.to_cdr()), "cdr", topic, name)
 
 
 @pytest.fixture(scope="session")

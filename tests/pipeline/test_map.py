@@ -107,6 +107,7 @@ def test_all_formats_hold_the_same_points(made: Path) -> None:
         places = rows[:, :12].copy().view("<f4")
         np.testing.assert_allclose(np.asarray(las.xyz), places, atol=6e-4)
         np.testing.assert_array_equal(np.asarray(las.synthetic) == 1, np.asarray(las.user_data) == 255)
+        np.testing.assert_array_equal(las.intensity, np.rint(65535 * las.mean_intensity.astype(np.float64)))
         np.testing.assert_array_equal(np.asarray(las.count) == 0, np.asarray(las.user_data) == 255)
         total += len(las)
     assert total == summary_["voxels"]["kept"] > 10000
@@ -239,6 +240,20 @@ def test_archives_of_different_sensors_are_not_one_map(
     path = encode_scans([scan], tmp_path / "other.mcap", "07", sensor=str(other), effort="fast")
     with pytest.raises(SalpccError, match="scan 000100 is of sensor other"):
         make_map(request_(tmp_path / "out", archives=[archive, path], poses=[]))
+
+
+def test_a_map_of_counts_keeps_them(
+    request_: Callable[..., MapRequest], archive: Path, tmp_path: Path
+) -> None:
+    scans = [replace(scan, intensity=np.rint(255 * scan.intensity)) for scan in Archive.open(archive)[:2]]
+    path = encode_scans(scans, tmp_path / "counts.mcap", SEQUENCE, effort="fast")
+    summary = make_map(request_(tmp_path / "map", archives=[path], formats=["laz"]))
+    tiles = [laspy.read(tmp_path / "map" / "tiles" / f"{name}.laz") for name in summary["tiles"]]
+    for las in tiles:
+        np.testing.assert_array_equal(las.intensity, np.rint(las.mean_intensity))
+        (record,) = [vlr for vlr in las.header.vlrs if vlr.record_id == 3]
+        assert record.record_data_bytes().startswith(b"intensity: float32 counts as recorded")
+    assert 100 < max(las.intensity.max() for las in tiles) <= 255
 
 
 @pytest.mark.usefixtures("open3d")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +59,8 @@ def read_times(path: Path) -> list[int | None] | None:
     times: list[int | None] = []
     for at, line in enumerate(frame_lines(path)):
         try:
-            times.append(round(float(line) * 1e9) if line else None)
-        except (ValueError, OverflowError) as error:
+            times.append(round(Decimal(line) * 10**9) if line else None)
+        except (ArithmeticError, ValueError) as error:
             raise SourceError(f"{path}: line {at + 1}, {line!r}, is not one number of seconds") from error
         if not 0 <= (times[-1] or 0) < 1 << 63:
             raise SourceError(f"{path}: line {at + 1}: negative, or too large for nanoseconds in 63 bits")

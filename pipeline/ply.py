@@ -1,0 +1,22 @@
+"""Write a binary PLY."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement
+
+from salpcc.schemas.files import atomic
+
+
+def write_ply(columns: dict[str, NDArray[Any]], path: Path) -> None:
+    """Write vertices of the named properties ``(N,)``, each with its own type, little endian."""
+    length = len(next(iter(columns.values())))
+    rows = np.empty(length, [(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        rows[name] = values
+    with atomic(path) as stream:
+        PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(stream)
