@@ -59,7 +59,9 @@ def decode(
     export: Export = partial(to_laz, crs=crs) if crs else EXPORTS[to]
     with Archive.open(archive) as opened:
         count = 0
-        for path in export(opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True)):
+        for path in export(
+            opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True, markup=False)
+        ):
             count += 1
             folder = path.parent
         if not count:
