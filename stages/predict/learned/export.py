@@ -11,14 +11,16 @@ from salpcc.stages.predict.learned.network import Network
 F64 = NDArray[np.float64]
 
 _ROOM = 2.0**24 * 0.98
+_LARGEST = 2.0**15 - 1  # weight
 _FINEST = 12  # log2 of the largest scale
 
 
 def _scale(weight: F64, bias: F64) -> float:
-    """Largest power of two that keeps every possible sum exact, rounding of the weights included."""
+    """Largest power of two that keeps every possible sum exact, rounding included, and weights in 16 bits."""
     rounding = 0.5 * weight.shape[0] * LIMIT + 2.0
     reach = (np.abs(weight).sum(0) * LIMIT + np.abs(bias) * SCALE).max()
-    return float(2.0 ** min(_FINEST, np.floor(np.log2((_ROOM - rounding) / reach))))
+    room = min((_ROOM - rounding) / reach, _LARGEST / np.abs(weight).max(initial=1e-9))
+    return float(2.0 ** min(_FINEST, np.floor(np.log2(room))))
 
 
 def quantize_network(
@@ -38,16 +40,16 @@ def quantize_network(
     biases.append(np.abs(last_bias).max(0))
     scales = [_scale(weight, bias) for (weight, _), bias in zip(layers, biases, strict=True)]
     whole = [
-        np.ascontiguousarray(np.rint(weight * s), np.float32)
+        np.ascontiguousarray(np.rint(weight * s), np.int32)
         for (weight, _), s in zip(layers, scales, strict=True)
     ]
     hidden_bias = [np.rint(bias * s * SCALE) for (_, bias), s in zip(layers[1:-1], scales[1:-1], strict=True)]
     return Network(
         first=whole[0],
-        tables=np.rint(stacked * scales[0] * SCALE).astype(np.float32),
+        tables=np.rint(stacked * scales[0] * SCALE).astype(np.int32),
         hidden=np.concatenate(whole[1:-1]),
-        hidden_bias=np.stack(hidden_bias).astype(np.float32),
+        hidden_bias=np.stack(hidden_bias).astype(np.int32),
         last=whole[-1],
-        last_bias=np.rint(last_bias * scales[-1] * SCALE).astype(np.float32),
-        scales=np.array(scales, np.float32),
+        last_bias=np.rint(last_bias * scales[-1] * SCALE).astype(np.int32),
+        scales=np.array(scales, np.int32),
     )

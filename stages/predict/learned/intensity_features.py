@@ -2,150 +2,140 @@
 
 Ranges are coded first, so ranges of the returns to the right and below are known too. Same exact
 arithmetic and layout as :mod:`salpcc.stages.predict.learned.features`.
+
+Slots are lanes 2 to 19 of a vector of 32: six returns to the left on the current ring, eight of the ring above, four
+of the one above that. Lanes 20 to 23 are returns of the ring below, 24 to 26 those to the right: only ranges.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.features import LIMIT, SCALE, squash
+from salpcc.stages.predict.learned.features import rounded, squash
 from salpcc.stages.predict.learned.ring_rows import PAD
+from salpcc.stages.predict.learned.vectors import (
+    choose,
+    inline,
+    join,
+    lane,
+    load,
+    of,
+    size,
+    splice,
+    spread,
+    store,
+    summed,
+)
 
-LEFT, UPPER, SECOND, RIGHT, BELOW = 6, 8, 4, 3, 4
-SLOTS = LEFT + UPPER + SECOND
+LEFT = 6
 INPUTS = 56
+GAPS = 8  # features that do not depend on intensities
+NONE = np.float32(25.0)  # intensity of a return that is not there
 
-_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+# Where the features stand among the inputs of the network.
+_RANGES, _GAPS, _VALUES, _REST, END = 0, 28, 34, 54, 64
+# That place for each input of the network as trained.
+INPUT_PLACES = (
+    *range(_RANGES + 2, _RANGES + 20),
+    *range(_RANGES + 24, _RANGES + 27),
+    *range(_RANGES + 20, _RANGES + 24),
+    *range(_GAPS, _GAPS + 4),
+    *range(_VALUES + 2, _VALUES + 20),
+    *range(_REST, _REST + 5),
+    _GAPS + 4, _REST + 5, _REST + 6, _GAPS + 5,
+)  # fmt: skip
+
+_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_QUARTER, _EIGHTH, _FOUR = np.float32(0.25), np.float32(0.125), np.float32(4.0)
 _UNIT = np.float32(1.0 / 16.0)
 _PER_STEP = np.float32(1.0 / 12.5)
-_SCALE, _LIMIT = np.float32(SCALE), np.float32(LIMIT)
-_NONE = np.float32(25.0)
 _GAP = np.float32(8.0)
+_LITTLE = np.float32(1e-3)
 
 F32 = NDArray[np.float32]
+I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def intensity_features(
-    i: int,
-    m: int,
-    azimuth: F32,
-    inverse: F32,
-    value: F32,
-    has1: bool,
-    frame1: F32,
-    inverse1: F32,
-    intensity1: F32,
-    index1: I32,
-    has2: bool,
-    inverse2: F32,
-    intensity2: F32,
-    index2: I32,
-    below: bool,
-    inverse3: F32,
-    index3: I32,
-    quotient: np.float32,
-    activity: np.float32,
-    x: F32,
-    work: F32,
-) -> tuple[int, int, np.float32]:
-    """Fill ``x`` (INPUTS,); returns the two nearest intensities (left, above) and the local mean.
+@inline
+def slot_places(has1: bool, has2: bool, below: bool, places: F32, there: F32) -> None:
+    """Fill ``(LEFT + 1, 32)`` weights of the slots by how many returns there are to the left, before nearness.
 
-    ``value`` are the current ring's intensities (known left of i), 1 and 2 the rings above, 3 the ring
-    below (ranges only). ``work`` is scratch, (3 * SLOTS,).
+    ``there`` of the same shape: 1 where a range is known.
+    """
+    for n in range(LEFT + 1):
+        for k in range(32):
+            weight, known = _ZERO, True
+            if k < 8:
+                known = k >= 8 - n
+                weight = _ONE
+            elif k < 16:
+                known = has1
+                weight = _ONE if k == 11 or k == 12 else _HALF
+            elif k < 20:
+                known = has2
+                weight = _HALF
+            elif k < 24:
+                known = below
+            places[n, k] = weight if known else _ZERO
+            there[n, k] = _ONE if known else _ZERO
+
+
+@inline
+def ring_gaps(m: int, azimuth: F32, frame1: F32, index1: I32, has1: bool, has2: bool, gaps: I16) -> None:
+    """Fill the features of all ``m`` returns of a ring that depend on azimuths only, ``gaps`` (m, GAPS)."""
+    for i in range(m):
+        c = PAD + i
+        a = azimuth[c]
+        before = (a - azimuth[c - 1]) * _HALF - _ONE if i > 0 else _GAP
+        after = (azimuth[c + 1] - a) * _HALF - _ONE if i + 1 < m else _GAP
+        j1 = index1[i]
+        left = (a - frame1[j1]) * _HALF if has1 else _GAP
+        right = (frame1[j1 + 1] - a) * _HALF if has1 else _GAP
+        x = squash(of(before, after, left, right, _ZERO, _ZERO, _ZERO, _ZERO))
+        there = of(_ONE if has1 else _ZERO, _ONE if has2 else _ZERO)
+        store(gaps, i * GAPS, rounded(splice(x, join(join(there, there), join(there, there)), 4)))
+
+
+@inline
+def intensity_features(  # type: ignore[no-untyped-def]
+    i, azimuth, inverse, left, frame1, inverse1, intensity1, index1, has1, inverse2, intensity2, index2, inverse3,
+    index3, quotient, activity, places, there, gaps, x,
+):  # fmt: skip
+    """Fill the inputs ``x`` (END,); return the two nearest intensities (left, above) and the local mean.
+
+    ``left`` are eight lanes of intensities to the left, the nearest last; 1 and 2 the rings above, 3 the ring
+    below (ranges only). ``places``, ``there`` and ``gaps`` are what :func:`slot_places` and :func:`ring_gaps` made.
     """
     c = PAD + i
     w0 = inverse[c]
-    a = azimuth[c]
     per_w = quotient / (w0 * w0) * _UNIT
     n_left = min(i, LEFT)
-    o = c - LEFT
-    for k in range(LEFT):
-        work[k] = value[np.uint64(o + k)]
-        work[SLOTS + k] = (inverse[np.uint64(o + k)] - w0) * per_w
-        work[2 * SLOTS + k] = _ONE
-    for k in range(LEFT - n_left):
-        work[k] = _NONE
-        work[SLOTS + k] = _GAP
-        work[2 * SLOTS + k] = _ZERO
-    j1 = index1[i]
-    j2 = index2[i]
-    if has1:
-        o = j1 - UPPER // 2 + 1
-        for k in range(UPPER):
-            work[LEFT + k] = intensity1[np.uint64(o + k)]
-            work[SLOTS + LEFT + k] = (inverse1[np.uint64(o + k)] - w0) * per_w
-            work[2 * SLOTS + LEFT + k] = _HALF
-        work[2 * SLOTS + LEFT + UPPER // 2 - 1] = _ONE
-        work[2 * SLOTS + LEFT + UPPER // 2] = _ONE
-    else:
-        for k in range(UPPER):
-            work[LEFT + k] = _NONE
-            work[SLOTS + LEFT + k] = _GAP
-            work[2 * SLOTS + LEFT + k] = _ZERO
-    if has2:
-        o = j2 - SECOND // 2 + 1
-        for k in range(SECOND):
-            work[LEFT + UPPER + k] = intensity2[np.uint64(o + k)]
-            work[SLOTS + LEFT + UPPER + k] = (inverse2[np.uint64(o + k)] - w0) * per_w
-            work[2 * SLOTS + LEFT + UPPER + k] = _HALF
-    else:
-        for k in range(SECOND):
-            work[LEFT + UPPER + k] = _NONE
-            work[SLOTS + LEFT + UPPER + k] = _GAP
-            work[2 * SLOTS + LEFT + UPPER + k] = _ZERO
-    total, first = np.float32(1e-3), np.float32(1e-3) * _NONE
-    for k in range(SLOTS):
-        q = work[SLOTS + k] * np.float32(0.5)
-        weight = work[2 * SLOTS + k] / (_ONE + q * q)
-        work[2 * SLOTS + k] = weight
-        total += weight
-        first += weight * work[k]
-    mean = first / total
-    spread = _ZERO
-    for k in range(SLOTS):
-        spread += work[2 * SLOTS + k] * abs(work[k] - mean)
-    spread = spread / total
-    for k in range(SLOTS):
-        x[k] = work[SLOTS + k]
-    o = SLOTS
-    for k in range(RIGHT):
-        x[o + k] = (inverse[np.uint64(c + 1 + k)] - w0) * per_w
-    o += RIGHT
-    if below:
-        j3 = index3[i]
-        f = j3 - BELOW // 2 + 1
-        for k in range(BELOW):
-            x[o + k] = (inverse3[np.uint64(f + k)] - w0) * per_w
-    else:
-        for k in range(BELOW):
-            x[o + k] = _GAP
-    o += BELOW
-    x[o] = (a - azimuth[c - 1]) * _HALF - _ONE if i > 0 else _GAP
-    x[o + 1] = (azimuth[c + 1] - a) * _HALF - _ONE if i + 1 < m else _GAP
-    x[o + 2] = (a - frame1[j1]) * _HALF if has1 else _GAP
-    x[o + 3] = (frame1[j1 + 1] - a) * _HALF if has1 else _GAP
-    squash(x, o + 4)
-    o += 4
-    for k in range(SLOTS):
-        x[o + k] = work[k] * _PER_STEP
-    o += SLOTS
-    x[o] = mean * _PER_STEP
-    x[o + 1] = spread * _PER_STEP * np.float32(2.0)
-    x[o + 2] = activity * _PER_STEP * np.float32(2.0)
-    x[o + 3] = np.sqrt(_ONE / w0) * _HALF
-    x[o + 4] = np.sqrt(w0) * np.float32(4.0)
-    x[o + 5] = _ONE if has1 else _ZERO
-    x[o + 6] = total * np.float32(0.25)
-    x[o + 7] = np.float32(n_left) * np.float32(0.125)
-    x[o + 8] = _ONE if has2 else _ZERO
-    for k in range(INPUTS):
-        x[k] = min(max(np.floor(x[k] * _SCALE + _HALF), -_LIMIT), _LIMIT)
-    left = int(work[LEFT - 1])
-    above = int(work[LEFT + UPPER // 2 - 1])
-    if has1 and frame1[j1 + 1] - a < a - frame1[j1]:
-        above = int(work[LEFT + UPPER // 2])
-    return left, above, mean
+    j1, j2 = index1[i], index2[i]
+    upper, second = j1 - 3, j2 - 1
+    around = join(
+        join(load(inverse, c - 8, 8), load(inverse1, upper, 8)),
+        join(splice(load(inverse2, second, 8), load(inverse3, index3[i] - 5, 8), 4), load(inverse, c + 1, 8)),
+    )
+    known = load(there, n_left * 32, 32) > _ZERO
+    off = choose(known, (around - w0) * per_w, spread(_GAP, 32))
+    above = join(load(intensity2, second, 8), spread(NONE, 8))
+    value = choose(known, join(join(left, load(intensity1, upper, 8)), above), spread(NONE, 32))
+    q = off * _HALF
+    weight = load(places, n_left * 32, 32) / (q * q + _ONE)
+    total = summed(_LITTLE, weight, 2, 20)
+    mean = summed(_LITTLE * NONE, weight * value, 2, 20) / total
+    apart = summed(_ZERO, weight * size(value - mean), 2, 20) / total
+    store(x, _RANGES, rounded(squash(off)))
+    store(x, _GAPS, load(gaps, i * GAPS, GAPS))
+    store(x, _VALUES, rounded(value * _PER_STEP))
+    rest = of(
+        mean * _PER_STEP, apart * _PER_STEP * _TWO, activity * _PER_STEP * _TWO, np.sqrt(_ONE / w0) * _HALF,
+        np.sqrt(w0) * _FOUR, total * _QUARTER, np.float32(n_left) * _EIGHTH, _ZERO,
+    )  # fmt: skip
+    store(x, _REST, rounded(rest))
+    nearest = lane(value, 11)
+    if has1 and frame1[j1 + 1] - azimuth[c] < azimuth[c] - frame1[j1]:
+        nearest = lane(value, 12)
+    return int(lane(value, 7)), int(nearest), mean

@@ -2,23 +2,30 @@
 
 All tables are made by repeated multiplication and division from a few constants, so they are the same
 on every machine; evaluation uses float64 with ``+ - * /`` in a fixed order.
+
+A mixture is a float64 array of the PLACES means in counts, then the inverse scales, then the weights, which sum to 1. A
+component that is dropped stays in its place with weight 0, which adds nothing to any sum.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.predict.learned.vectors import cast, highest, inline, larger, load, smaller, store
+
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
 
 BITS = 24
 TOTAL = 1 << BITS
-COMPONENTS = 12
+PLACES = 16  # of components
 SHARED = (9, 0)  # predictors of the components beyond the first ten
-_PER_UNIT = 32.0
-_CUT = 9.0  # components whose logit is this far below the largest are dropped
-_LOG_SCALE_SHIFT, _LOG_SCALE_LOW, _LOG_SCALE_HIGH = 2.0, -2.0, 9.0
+_MEANS, _INVERSES, _WEIGHTS, _LOW, _SLOPE = 0, 16, 32, 0, 1
+_PER_UNIT = 32
+_CUT = 9  # components whose logit is this far below the largest are dropped
+_LOG_SCALE_SHIFT, _LOG_SCALE_LOW, _LOG_SCALE_HIGH = 2, -2, 9
 _OFFSET_LIMIT = 8.0
 _Z_LIMIT = 17.0
 _Z_STEPS = 64.0
@@ -28,7 +35,6 @@ _EXP_MINUS_2 = 0.1353352832366127
 _EXP_17 = 24154952.7535753
 
 
-@njit(cache=True, error_model="numpy")
 def _powers(first: float, factor: float, n: int) -> F64:
     out = np.empty(n)
     value = first
@@ -39,109 +45,113 @@ def _powers(first: float, factor: float, n: int) -> F64:
 
 
 def _logistic_table() -> F64:
-    """Logistic at -17, -17 + 1/64, ..., 17; its two ends are forced to 0 and 1."""
+    """Logistic at -17, -17 + 1/64, ..., 17, and its step to the next; its two ends are forced to 0 and 1."""
     n = int(2 * _Z_LIMIT * _Z_STEPS) + 2
     table = 1.0 / (1.0 + _powers(_EXP_17, 1.0 / _EXP_64TH, n))
     table[0] = 0.0
     table[-2:] = 1.0
-    return table
+    return np.column_stack([table, np.append(np.diff(table), 0.0)])
 
 
-SCALES = _powers(_EXP_MINUS_2, _EXP_32ND, int((_LOG_SCALE_HIGH - _LOG_SCALE_LOW) * _PER_UNIT) + 1)
-INVERSE_SCALES = 1.0 / SCALES
-WEIGHTS = _powers(1.0, 1.0 / _EXP_32ND, int(_CUT * _PER_UNIT) + 1)
+_SCALES = _powers(_EXP_MINUS_2, _EXP_32ND, (_LOG_SCALE_HIGH - _LOG_SCALE_LOW) * _PER_UNIT + 1)
+SCALES = np.column_stack([_SCALES, 1.0 / _SCALES])
+WEIGHTS = np.append(_powers(1.0, 1.0 / _EXP_32ND, _CUT * _PER_UNIT), 0.0)
 LOGISTIC = _logistic_table()
+_LAST_WEIGHT, _LAST_SCALE = np.int32(len(WEIGHTS) - 1), np.int32(len(SCALES) - 1)
+_ZERO = np.int32(0)
 
 
-@njit(cache=True, error_model="numpy")
-def set_mixture(out: NDArray[np.float32], mu: NDArray[np.float32], mix: F64) -> int:
-    """Turn network outputs and predictions into components; returns how many there are.
+def output_places(predictors: int) -> tuple[int, ...]:
+    """Where the outputs of a network of so many predictors stand: PLACES logits, offsets, log scales."""
+    components = predictors + len(SHARED)
+    return tuple(part * PLACES + c for part in range(3) for c in range(components))
 
-    ``mix`` (3, COMPONENTS) gets means in counts, inverse scales, and weights that sum to 1.
-    Outputs: COMPONENTS logits, offsets in units of the scale, log scales; the base and the return to the left
-    count twice.
+
+@inline
+def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, work: I32) -> None:
+    """Turn a network's answer and the predictions into a mixture.
+
+    Args:
+        sums: PLACES logits, offsets in units of the scale, log scales, all in units of ``2 ** -shift``.
+        mu: ``(PLACES,)`` predicted counts of the components, SHARED ones included.
+        work: scratch, ``(2 * PLACES,)``.
     """
-    components = len(mu) + len(SHARED)
-    largest = out[0]
-    for c in range(1, components):
-        largest = max(largest, out[c])
-    n = 0
+    logits = load(sums, 0, 16)
+    fine = np.int32(shift - 5)  # 32 steps a unit
+    depth = smaller((highest(logits) - logits) >> fine, _LAST_WEIGHT)
+    store(work, 0, depth)
+    low = np.int32((_LOG_SCALE_SHIFT - _LOG_SCALE_LOW) << shift)
+    store(work, 16, larger(smaller((load(sums, 32, 16) + low) >> fine, _LAST_SCALE), _ZERO))
+    unit = 1.0 / (1 << shift)
     total = 0.0
     for c in range(components):
-        depth = float(largest) - float(out[c])
-        if depth >= _CUT:
-            continue
-        weight = WEIGHTS[int(depth * _PER_UNIT)]
-        offset = min(max(float(out[components + c]), -_OFFSET_LIMIT), _OFFSET_LIMIT)
-        log_scale = float(out[2 * components + c]) + _LOG_SCALE_SHIFT
-        log_scale = min(max(log_scale, _LOG_SCALE_LOW), _LOG_SCALE_HIGH)
-        s = int((log_scale - _LOG_SCALE_LOW) * _PER_UNIT)
-        predictor = c if c < len(mu) else SHARED[c - len(mu)]
-        mix[0, n] = mu[predictor] + offset * SCALES[s]
-        mix[1, n] = INVERSE_SCALES[s]
-        mix[2, n] = weight
+        weight = WEIGHTS[np.uint64(work[c])]
+        mixture[_WEIGHTS + c] = weight
         total += weight
-        n += 1
-    for c in range(n):
-        mix[2, c] /= total
-    return n
+        scale = np.uint64(work[16 + c])
+        offset = min(max(sums[16 + c] * unit, -_OFFSET_LIMIT), _OFFSET_LIMIT)
+        mixture[_MEANS + c] = np.float64(mu[c]) + offset * SCALES[scale, 0]
+        mixture[_INVERSES + c] = SCALES[scale, 1]
+    for c in range(0, 16, 8):
+        store(mixture, _WEIGHTS + c, load(mixture, _WEIGHTS + c, 8) / total)
 
 
-@njit(cache=True, error_model="numpy")
-def cumulative(mix: F64, n: int, x: float) -> tuple[float, float]:
-    """Return the mixture's distribution function at ``x`` counts and its density there."""
+@inline
+def _below(mixture: F64, components: int, x: float, at: int, places: I32, parts: F64) -> float:
+    """The share of the mixture below ``x`` counts, from 0 to 1 and a little; scratch begins at ``at``."""
+    for c in range(0, 16, 8):
+        z = (x - load(mixture, _MEANS + c, 8)) * load(mixture, _INVERSES + c, 8)
+        z = (larger(smaller(z, _Z_LIMIT), -_Z_LIMIT) + _Z_LIMIT) * _Z_STEPS
+        k = cast(z, np.int32)
+        store(places, at + c, k)
+        store(parts, at + c, z - cast(k, np.float64))
     f = 0.0
-    density = 0.0
-    for c in range(n):
-        z = (x - mix[0, c]) * mix[1, c]
-        z = (min(max(z, -_Z_LIMIT), _Z_LIMIT) + _Z_LIMIT) * _Z_STEPS
-        k = int(z)
-        low = LOGISTIC[k]
-        slope = LOGISTIC[k + 1] - low
-        f += mix[2, c] * (low + (z - k) * slope)
-        density += mix[2, c] * mix[1, c] * slope
-    return f, density * _Z_STEPS
+    for c in range(components):
+        k = np.uint64(places[at + c])
+        f += mixture[_WEIGHTS + c] * (LOGISTIC[k, _LOW] + parts[at + c] * LOGISTIC[k, _SLOPE])
+    return f
 
 
-@njit(cache=True, error_model="numpy")
-def level_start(mix: F64, n: int, level: int, step: int, levels: int) -> int:
-    """Return where ``level`` begins in [0, TOTAL]; every level below ``levels`` keeps at least width 1."""
-    if level <= 0:
-        return 0
-    if level >= levels:
-        return TOTAL
-    f, _ = cumulative(mix, n, level * step - 0.5)
-    return level + int(min(f, 1.0) * (TOTAL - levels))
+@inline
+def level_ends(
+    mixture: F64, components: int, level: int, step: int, levels: int, places: I32, parts: F64
+) -> tuple[int, int]:
+    """Return the two ends of a level in [0, TOTAL]; every level below ``levels`` keeps at least width 1.
+
+    ``places`` (2 * PLACES,) and ``parts`` (2 * PLACES,) are scratch.
+    """
+    x = level * step - 0.5
+    below = _below(mixture, components, x, 0, places, parts)
+    up_to = _below(mixture, components, x + step, PLACES, places, parts)
+    low = level + int(min(below, 1.0) * (TOTAL - levels))
+    high = level + 1 + int(min(up_to, 1.0) * (TOTAL - levels))
+    return 0 if level <= 0 else low, TOTAL if level + 1 >= levels else high
 
 
-@njit(cache=True, error_model="numpy")
-def find_level(mix: F64, n: int, target: int, step: int, levels: int) -> tuple[int, int, int]:
+@inline
+def find_level(
+    mixture: F64, components: int, target: int, step: int, levels: int, places: I32, parts: F64
+) -> tuple[int, int, int]:
     """Return the level whose interval holds ``target``, and the interval's two ends.
 
-    Newton steps from the heaviest component, then a walk and bisection on the exact integer ends.
+    Newton steps from the heaviest component, then bisection.
     """
     best = 0
-    for c in range(1, n):
-        if mix[2, c] > mix[2, best]:
+    for c in range(1, components):
+        if mixture[_WEIGHTS + c] > mixture[_WEIGHTS + best]:
             best = c
-    low, high = 0, levels  # level_start(low) <= target < level_start(high)
-    low_end, high_end = 0, TOTAL
-    x = mix[0, best]
-    inverse_step = 1.0 / step
+    first, last = 0, levels - 1
+    guess = (mixture[_MEANS + best] + 0.5) / step
     tries = 0
-    while high - low > 1:
+    while True:
         tries += 1
-        level = int(min(max((x + 0.5) * inverse_step, 0.0), 1e6))
-        if tries > 8:
-            level = (low + high) >> 1
-        level = min(max(level, low + 1), high - 1)
-        f, density = cumulative(mix, n, level * step - 0.5)
-        end = level + int(min(f, 1.0) * (TOTAL - levels))
-        if end <= target:
-            low, low_end = level, end
+        level = int(min(max(guess, 0.0), 1e6)) if tries <= 8 else (first + last) >> 1
+        level = min(max(level, first), last)
+        low, high = level_ends(mixture, components, level, step, levels, places, parts)
+        if target < low and level > first:
+            last = level - 1
+        elif target >= high and level < last:
+            first = level + 1
         else:
-            high, high_end = level, end
-        # Newton towards the middle of the target, kept at least half a level beyond this edge.
-        move = ((target + 0.5) - end) / (density * (TOTAL - levels) + inverse_step)
-        x = level * step - 0.5 + move
-    return low, low_end, high_end
+            return level, low, high
+        guess = level + ((target + 0.5) - low) / (high - low)

@@ -1,57 +1,65 @@
-"""The networks in exact arithmetic: float32 holding integers below 2 ** 24 (SENSOR_LATTICE.md, section 4).
+"""The networks in whole numbers: int16 weights and activations, int32 sums (SENSOR_LATTICE.md, section 4).
 
-Activations are integers 0..1023 (1/128 of a unit), weights integers with a power-of-two scale per
-layer. No partial sum can reach 2 ** 24 (:func:`check` proves it when weights are loaded), so every
-addition is exact and the order of summation does not matter.
+Activations are integers 0..1023 (1/128 of a unit), weights integers with a power-of-two scale per layer. No
+partial sum can reach 2 ** 24 (:func:`check` proves it when weights are loaded): sums need no care for overflow, their
+order does not matter, and what a network answers is exact in float32, too.
+
+Two inputs are taken at once, for blocks of outputs side by side (:mod:`.vectors`): one instruction multiplies
+and adds 32 weights where a machine has vectors of 512 bits.
 """
 
 from __future__ import annotations
 
 import io
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SalpccError
-from salpcc.stages.predict.learned.features import LIMIT, SCALE
+from salpcc.stages.predict.learned.features import LIMIT
+from salpcc.stages.predict.learned.vectors import cast, dot, inline, larger, load, pairs, smaller, store
 
-F32 = NDArray[np.float32]
+I16 = NDArray[np.int16]
+I32 = NDArray[np.int32]
+
+BLOCK = 16  # outputs of a layer come in multiples of it
+NEVER = -(1 << 30)  # what an output that is none answers
+_LIMIT, _ZERO = np.int32(LIMIT), np.int32(0)
+_REACH = 1 << 24
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Integer weights as float32; ``scales`` are the powers of two of the layers' weights.
+    """Integer weights as trained and stored; ``scales`` are the powers of two of the layers' weights.
 
     The first layer's bias is the sum of one row of each table in ``tables``, chosen by the laser and,
     for intensity, by the nearest intensities; the last layer's bias is a row of ``last_bias``.
 
     Attributes:
-        first: ``(inputs, width)``; tables: ``(tables, rows, width)``; hidden: ``(layers *
+        first: ``(inputs, width)`` int32, as all; tables: ``(tables, rows, width)``; hidden: ``(layers *
         width, width)`` and hidden_bias ``(layers, width)``; last: ``(width, outputs)``; last_bias:
         ``(lasers, outputs)``; scales: ``(layers + 2,)``.
     """
 
-    first: F32
-    tables: F32
-    hidden: F32
-    hidden_bias: F32
-    last: F32
-    last_bias: F32
-    scales: F32
-
-    def arrays(self) -> tuple[F32, F32, F32, F32, F32, F32, F32]:
-        """All arrays in the order the kernels take them."""
-        return self.first, self.tables, self.hidden, self.hidden_bias, self.last, self.last_bias, self.scales
+    first: I32
+    tables: I32
+    hidden: I32
+    hidden_bias: I32
+    last: I32
+    last_bias: I32
+    scales: I32
 
     @classmethod
-    def empty(cls, inputs: int, outputs: int) -> Network:
-        """A network of width 4 that answers 0 (for collecting training rows)."""
-        shapes = ((inputs, 4), (3, 101, 4), (4, 4), (1, 4), (4, outputs), (64, outputs), (3,))
-        return cls(*(np.zeros(shape, np.float32) for shape in shapes))
+    def empty(cls, inputs: int) -> Network:
+        """A network that answers 0 (for collecting training rows)."""
+        nothing = np.zeros((1, 1), np.int32)
+        first, tables = np.zeros((inputs, 1), np.int32), np.zeros((4, 1, 1), np.int32)
+        return cls(first, tables, nothing, nothing, nothing, nothing, np.ones(3, np.int32))
 
     @property
     def digest(self) -> str:
@@ -64,11 +72,28 @@ class Network:
         return total.hexdigest()
 
 
+class Layers(NamedTuple):
+    """The same weights as the kernels take them.
+
+    Widths are padded to multiples of BLOCK; pairs of inputs stand together: ``first`` is ``(inputs / 2, width * 2)``
+    int16, ``hidden`` ``(layers * width / 2, width * 2)``, ``last`` ``(width / 2, outputs * 2)``. Tables and biases
+    are int32; ``shifts`` the binary logarithms of the scales.
+    """
+
+    first: I16
+    tables: I32
+    hidden: I16
+    hidden_bias: I32
+    last: I16
+    last_bias: I32
+    shifts: I32
+
+
 def load_network(path: Path) -> Network:
     """Read weights written by :func:`save_network`; raises SalpccError where they are damaged or not exact."""
     try:
         with np.load(io.BytesIO(path.read_bytes())) as stored:
-            network = Network(*(np.ascontiguousarray(stored[f.name], np.float32) for f in fields(Network)))
+            network = Network(*(np.ascontiguousarray(stored[f.name], np.int32) for f in fields(Network)))
         check(network)
     except Exception as error:  # NumPy meets damaged bytes with whatever comes to hand
         raise SalpccError(f"{path}: not weights of the coder ({error})") from error
@@ -76,86 +101,156 @@ def load_network(path: Path) -> Network:
 
 
 def save_network(path: Path, network: Network) -> None:
-    """Write the weights as integers; inverse of :func:`load_network`."""
-    stored = {field.name: getattr(network, field.name).astype(np.int32) for field in fields(network)}
-    np.savez_compressed(path, **stored)
+    """Write the weights; inverse of :func:`load_network`."""
+    np.savez_compressed(path, **{field.name: getattr(network, field.name) for field in fields(network)})
 
 
 def check(network: Network) -> None:
-    """Raise SalpccError if some sum could leave the exact integers of float32."""
+    """Raise SalpccError if a weight does not fit int16, or some sum could reach 2 ** 24."""
     layers = [
-        (network.first, np.abs(network.tables).max(1).sum(0)),
-        (network.last, np.abs(network.last_bias).max(0)),
+        (network.first, np.abs(network.tables.astype(np.int64)).max(1).sum(0)),
+        (network.last, np.abs(network.last_bias.astype(np.int64)).max(0)),
     ]
-    layers += [
-        (w, np.abs(b))
-        for w, b in zip(np.split(network.hidden, len(network.hidden_bias)), network.hidden_bias, strict=True)
-    ]
+    hidden = np.split(network.hidden, len(network.hidden_bias))
+    layers += [(w, np.abs(b.astype(np.int64))) for w, b in zip(hidden, network.hidden_bias, strict=True)]
     for weight, bias in layers:
-        reach = np.abs(weight).astype(np.float64).sum(0) * LIMIT + bias
-        if reach.max() >= 2.0**24 or (weight != np.floor(weight)).any():
+        size = np.abs(weight.astype(np.int64))
+        if (size.sum(0) * int(LIMIT) + bias).max() >= _REACH or size.max() >= 1 << 15:
             raise SalpccError(
-                "network weights are not exact in float32: export them again with smaller scales"
+                "network weights are too large to be exact: export them again with smaller scales"
             )
+    if (network.scales < 1).any() or (network.scales & (network.scales - 1)).any():
+        raise SalpccError("scales of a network are powers of two")
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _layer(weight: F32, row: int, x: F32, n: int, acc: F32) -> None:
-    """Add ``x[:n] @ weight[row : row + n]`` to ``acc``; n is a multiple of 8."""
-    m = weight.shape[1]
-    for k in range(0, n, 8):
-        x0, x1, x2, x3 = x[k], x[k + 1], x[k + 2], x[k + 3]
-        x4, x5, x6, x7 = x[k + 4], x[k + 5], x[k + 6], x[k + 7]
-        r0 = np.uint64(row + k)  # unsigned: no check for negative indices, so the loop vectorises
-        r1, r2, r3 = np.uint64(row + k + 1), np.uint64(row + k + 2), np.uint64(row + k + 3)
-        r4, r5, r6 = np.uint64(row + k + 4), np.uint64(row + k + 5), np.uint64(row + k + 6)
-        r7 = np.uint64(row + k + 7)
-        for j in range(m):
-            low = (weight[r0, j] * x0 + weight[r1, j] * x1) + (weight[r2, j] * x2 + weight[r3, j] * x3)
-            high = (weight[r4, j] * x4 + weight[r5, j] * x5) + (weight[r6, j] * x6 + weight[r7, j] * x7)
-            acc[j] += low + high
+@lru_cache(maxsize=16)
+def pack(network: Network, inputs: tuple[int, ...], places: tuple[int, ...]) -> Layers:
+    """Lay the weights out for the kernels: input n comes to stand at ``inputs[n]``, output n at ``places[n]``.
 
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _activate(acc: F32, n: int, scale: np.float32, h: F32) -> None:
-    inverse = np.float32(1.0) / scale
-    half = np.float32(0.5)
-    limit = np.float32(LIMIT)
-    zero = np.float32(0.0)
-    for j in range(n):
-        h[j] = min(max(np.floor(acc[j] * inverse + half), zero), limit)
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def forward(
-    x: F32,
-    laser: int,
-    first: F32,
-    hidden: F32,
-    hidden_bias: F32,
-    last: F32,
-    last_bias: F32,
-    scales: F32,
-    h: F32,
-    acc: F32,
-    out: F32,
-) -> None:
-    """Run the network on integer features ``x``; fills ``out`` with real values (exact float32).
-
-    ``acc`` holds the first layer's bias on entry; ``h`` is scratch of the same width.
+    What is beyond ``inputs`` and ``places`` is left out; what stands at no place answers NEVER.
     """
-    width = first.shape[1]
-    _layer(first, 0, x, len(x), acc)
-    _activate(acc, width, scales[0], h)
-    for layer in range(hidden_bias.shape[0]):
-        for j in range(width):
-            acc[j] = hidden_bias[layer, j]
-        _layer(hidden, layer * width, h, width, acc)
-        _activate(acc, width, scales[1 + layer], h)
-    n = last.shape[1]
-    for j in range(n):
-        out[j] = last_bias[np.uint64(laser), j]
-    _layer(last, 0, h, width, out)
-    inverse = np.float32(1.0) / (scales[len(scales) - 1] * np.float32(SCALE))
-    for j in range(n):
-        out[j] *= inverse
+    first = np.zeros((-(-(max(inputs) + 1) // 4) * 4, network.first.shape[1]), np.int32)
+    first[list(inputs)] = network.first[: len(inputs)]
+    width = _padded(network.first.shape[1])
+    outputs = _padded(max(places) + 1)
+    last = np.zeros((len(network.last), outputs), np.int32)
+    last_bias = np.full((len(network.last_bias), outputs), NEVER, np.int32)
+    last[:, places[: network.last.shape[1]]] = network.last[:, : len(places)]
+    last_bias[:, places[: network.last.shape[1]]] = network.last_bias[:, : len(places)]
+    hidden = np.split(network.hidden, len(network.hidden_bias))
+    return Layers(
+        first=_in_pairs(first, width),
+        tables=_wide(network.tables, width),
+        hidden=np.concatenate([_in_pairs(_tall(weight, width), width) for weight in hidden]),
+        hidden_bias=_wide(network.hidden_bias, width),
+        last=_in_pairs(_tall(last, width), outputs),
+        last_bias=last_bias,
+        shifts=np.log2(network.scales).astype(np.int32),
+    )
+
+
+def _padded(n: int) -> int:
+    return -(-n // BLOCK) * BLOCK
+
+
+def _wide(array: I32, width: int) -> I32:
+    return np.pad(array, [(0, 0)] * (array.ndim - 1) + [(0, width - array.shape[-1])])
+
+
+def _tall(array: I32, height: int) -> I32:
+    return np.pad(array, ((0, height - len(array)), (0, 0)))
+
+
+def _in_pairs(weight: I32, width: int) -> I16:
+    """``(inputs, outputs)`` as ``[pair of inputs][output][2]``."""
+    wide = _wide(weight, width)
+    return np.ascontiguousarray(
+        wide.reshape(-1, 2, width).transpose(0, 2, 1).reshape(-1, 2 * width), np.int16
+    )
+
+
+@inline
+def _four_blocks(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
+    s0, s1, s2, s3 = load(bias, b, 16), load(bias, b + 16, 16), load(bias, b + 32, 16), load(bias, b + 48, 16)
+    row = weight.shape[1]
+    for k in range(0, inputs, 4):
+        first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
+        s0 = s0 + (dot(load(weight, w, 32), first) + dot(load(weight, w + row, 32), second))
+        s1 = s1 + (dot(load(weight, w + 32, 32), first) + dot(load(weight, w + row + 32, 32), second))
+        s2 = s2 + (dot(load(weight, w + 64, 32), first) + dot(load(weight, w + row + 64, 32), second))
+        s3 = s3 + (dot(load(weight, w + 96, 32), first) + dot(load(weight, w + row + 96, 32), second))
+        w += 2 * row
+    store(sums, j, s0)
+    store(sums, j + 16, s1)
+    store(sums, j + 32, s2)
+    store(sums, j + 48, s3)
+
+
+@inline
+def _three_blocks(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
+    s0, s1, s2 = load(bias, b, 16), load(bias, b + 16, 16), load(bias, b + 32, 16)
+    row = weight.shape[1]
+    for k in range(0, inputs, 4):
+        first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
+        s0 = s0 + (dot(load(weight, w, 32), first) + dot(load(weight, w + row, 32), second))
+        s1 = s1 + (dot(load(weight, w + 32, 32), first) + dot(load(weight, w + row + 32, 32), second))
+        s2 = s2 + (dot(load(weight, w + 64, 32), first) + dot(load(weight, w + row + 64, 32), second))
+        w += 2 * row
+    store(sums, j, s0)
+    store(sums, j + 16, s1)
+    store(sums, j + 32, s2)
+
+
+@inline
+def _block(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
+    s0 = load(bias, b, 16)
+    row = weight.shape[1]
+    for k in range(0, inputs, 4):
+        first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
+        s0 = s0 + (dot(load(weight, w, 32), first) + dot(load(weight, w + row, 32), second))
+        w += 2 * row
+    store(sums, j, s0)
+
+
+@inline
+def _layer(bias: I32, at: int, weight: I16, row: int, x: I16, inputs: int, sums: I32) -> None:
+    """Set ``sums`` to the bias from flat index ``at`` plus ``x[:inputs] @ weight``, which starts at row ``row``."""
+    outputs = weight.shape[1] >> 1
+    w = row * weight.shape[1]
+    j = 0
+    while j < outputs:
+        left = outputs - j
+        if left & 63 == 0:
+            _four_blocks(bias, at + j, weight, w + 2 * j, x, inputs, sums, j)
+            j += 64
+        elif left >= 48:
+            _three_blocks(bias, at + j, weight, w + 2 * j, x, inputs, sums, j)
+            j += 48
+        else:
+            _block(bias, at + j, weight, w + 2 * j, x, inputs, sums, j)
+            j += 16
+
+
+@inline
+def _activate(sums: I32, n: int, shift: np.int32, h: I16) -> None:
+    """``h = clip(floor(sums / 2^shift + 1/2), 0, LIMIT)``."""
+    half = np.int32((1 << shift) >> 1)
+    for j in range(0, n, 16):
+        h_j = larger(smaller((load(sums, j, 16) + half) >> shift, _LIMIT), _ZERO)
+        store(h, j, cast(h_j, np.int16))
+
+
+@inline
+def forward(x: I16, laser: int, layers: Layers, h: I16, sums: I32) -> None:
+    """Run the network on integer features ``x``, -LIMIT..LIMIT; ``h`` is scratch of the layers' width.
+
+    ``sums`` holds the first layer's bias on entry, the last layer's sums on return: what the network answers, in
+    units of ``1 / (SCALE * last scale)``.
+    """
+    width = layers.first.shape[1] >> 1
+    _layer(sums, 0, layers.first, 0, x, 2 * layers.first.shape[0], sums)
+    _activate(sums, width, layers.shifts[0], h)
+    for layer in range(layers.hidden_bias.shape[0]):
+        _layer(layers.hidden_bias, layer * width, layers.hidden, layer * (width >> 1), h, width, sums)
+        _activate(sums, width, layers.shifts[1 + layer], h)
+    _layer(layers.last_bias, laser * layers.last_bias.shape[1], layers.last, 0, h, width, sums)

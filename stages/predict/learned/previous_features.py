@@ -8,174 +8,175 @@ one below.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.features import LIMIT, SCALE
+from salpcc.stages.predict.learned import features
+from salpcc.stages.predict.learned import intensity_features as intensities
+from salpcc.stages.predict.learned.features import NO_ERROR, rounded, squash
+from salpcc.stages.predict.learned.features import PREDICTORS as OF_SWEEP
+from salpcc.stages.predict.learned.vectors import (
+    choose,
+    inline,
+    join,
+    lane,
+    load,
+    of,
+    pick,
+    size,
+    splice,
+    spread,
+    store,
+    summed,
+)
 
 OWN, NEXT = 6, 4
 SLOTS = OWN + 2 * NEXT
+LANES = 16
 INPUTS = 32  # more than those of features
 PREDICTORS = 3
 INTENSITY_INPUTS = 24
 NO_VALUE = 101  # row of the table of intensities where there is no sweep before
 
+# Where the features stand among the inputs of a network, behind those of one that does not look back.
+_RESIDUALS, _OFFSETS, _REST = features.END, features.END + 16, features.END + 24
+INPUT_PLACES = (*features.INPUT_PLACES, *(features.END + n for n in (*range(14), *range(16, 34))))
+END = features.END + 36
+INTENSITY_PLACES = (*intensities.INPUT_PLACES, *range(intensities.END, intensities.END + INTENSITY_INPUTS))
+INTENSITY_END = intensities.END + INTENSITY_INPUTS
+
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _UNIT = np.float32(1.0 / 16.0)
-_SCALE, _LIMIT = np.float32(SCALE), np.float32(LIMIT)
 _NEAR, _FAR = np.float32(2.0), np.float32(1.0 / 125.0)
 _SPREAD = np.float32(0.3)  # of the weights: squared firings
 _ROW = np.float32(4.0)  # a row is two firings apart
 _GAP = np.float32(8.0)
-_NONE = np.float32(25.0)
 _PER_STEP = np.float32(1.0 / 12.5)
-_TINY = np.float32(1e-6)
-_NO_ERROR = np.float32(1.5)
+_LITTLE, _TINY = np.float32(1e-3), np.float32(1e-6)
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
 
-@njit(cache=True, error_model="numpy")
-def gather(i, k, a, frames, indices, number, inverse, height, intensity, z0, tangent, spacing, slot, values):  # type: ignore[no-untyped-def]
-    """Fill ``slot`` (4, SLOTS) with U, V, inverse range and weight of the points around return i of ring k.
+@inline
+def slots_there(k: int, number: NDArray[np.int64], there: F32) -> None:
+    """Mark with 1 the slots, ``(LANES,)``, of the rows around ring k that have points."""
+    for s in range(LANES):
+        row = k - 1 if s < NEXT else k if s < NEXT + OWN else k + 1
+        there[s] = _ONE if s < SLOTS and 0 <= row < len(number) and number[row] > 0 else _ZERO
+
+
+@inline
+def _slots(i, k, rows, indices):  # type: ignore[no-untyped-def]
+    """Lanes of the points around return i: four of row k - 1, six of row k, four of row k + 1."""
+    last = rows.shape[0] - 1
+    width = rows.shape[1]
+    up, own, down = max(k - 1, 0) * width, k * width, min(k + 1, last) * width
+    own += indices[1, i] - OWN // 2 + 1
+    first = splice(load(rows, up + indices[0, i] - 1, 8), load(rows, own - 4, 8), 4)
+    second = splice(load(rows, own + 4, 8), load(rows, down + indices[2, i] - 3, 8), 2)
+    return join(first, second)
+
+
+@inline
+def gather(i, k, a, frames, indices, there, inverse, height, intensity, cone):  # type: ignore[no-untyped-def]
+    """Return U, V, inverse range, weight and intensity of the points around return i of ring k, at azimuth a.
 
     U in firings (two ticks), V in rows; weight 0 where there is no point. ``frames`` and ``indices``
-    are the rows k - 1, k, k + 1, aligned.
+    are the rows k - 1, k, k + 1, aligned; ``cone`` that of ring k.
     """
-    s = 0
-    for r in range(3):
-        row = k - 1 + r
-        n = OWN if r == 1 else NEXT
-        if row < 0 or row >= len(number) or number[row] == 0:
-            for c in range(n):
-                slot[0, s + c] = _ZERO
-                slot[1, s + c] = _ZERO
-                slot[2, s + c] = _ONE
-                slot[3, s + c] = _ZERO
-                values[s + c] = _NONE
-        else:
-            o = indices[r, i] - n // 2 + 1
-            for c in range(n):
-                u = (frames[r, np.uint64(o + c)] - a) * _HALF
-                w = inverse[row, np.uint64(o + c)]
-                v = (height[row, np.uint64(o + c)] - z0 * w - tangent) * spacing
-                slot[0, s + c] = u
-                slot[1, s + c] = v
-                slot[2, s + c] = w
-                values[s + c] = intensity[row, np.uint64(o + c)]
-                q = u * u + _ROW * (v * v) + _SPREAD
-                slot[3, s + c] = _ONE / (q * q)
-        s += n
+    some = load(there, 0, 16) > _ZERO
+    nothing = spread(_ZERO, 16)
+    w = choose(some, _slots(i, k, inverse, indices), spread(_ONE, 16))
+    u = choose(some, (_slots(i, 1, frames, indices) - a) * _HALF, nothing)
+    v = choose(some, (_slots(i, k, height, indices) - w * cone[0] - cone[1]) * cone[2], nothing)
+    value = choose(some, _slots(i, k, intensity, indices), spread(intensities.NONE, 16))
+    q = u * u + v * v * _ROW + _SPREAD
+    return u, v, w, choose(some, _ONE / (q * q), nothing), value
 
 
-@njit(cache=True, error_model="numpy")
+@inline
 def previous_features(  # type: ignore[no-untyped-def]
-    w1, tight, slope_u, slope_v, base, quotient, offset, slot, signed, error0, error1, j1, has1, x, mu
+    w1, tight, slope_u, slope_v, base, quotient, offset, slots, before, error0, error1, j1, has1, x, counts
 ):
-    """Append ``x[-INPUTS:]`` and ``mu[-PREDICTORS:]``.
+    """Fill the inputs ``x`` from features.END on; return ``counts`` with PREDICTORS more of its lanes filled.
 
     Residuals are those of the slots to the base plane of :func:`features.point_features`, in units of 16 counts. The
     predictors: the base plane moved by the residuals' mean, weighted by nearness; the same, robust; the first,
-    moved by its own error at the return to the left, ``signed[0]``.
+    moved by its own error at the return to the left, ``before``.
     """
-    o = len(x) - INPUTS
-    p = len(mu) - PREDICTORS
+    u, v, w, weight, _ = slots
     per_w = quotient / (base * base) * _UNIT
-    total, near_sum, robust, robust_sum = _TINY, _ZERO, _TINY, _ZERO
-    for s in range(SLOTS):
-        weight = slot[3, s]
-        r = ((slot[2, s] - w1) - ((tight + slope_v * slot[1, s]) + slope_u * slot[0, s])) * per_w
-        if weight == _ZERO:
-            r = _ZERO
-        x[o + s] = r
-        total += weight
-        near_sum += weight * r
-        q = _ONE + r * r
-        weight = weight / (q * q)
-        robust += weight
-        robust_sum += weight * r
-    near = near_sum / total
-    spread = _ZERO
-    for s in range(SLOTS):
-        spread += slot[3, s] * abs(x[o + s] - near)
-    centre = mu[p - 1]
+    some = weight > _ZERO
+    r = choose(some, ((w - w1) - ((v * slope_v + tight) + u * slope_u)) * per_w, spread(_ZERO, 16))
+    q = r * r + _ONE
+    robust = weight / (q * q)
+    total = summed(_TINY, weight, 0, 14)
+    near = summed(_ZERO, weight * r, 0, 14) / total
+    robust_total = summed(_TINY, robust, 0, 14)
+    robust_near = summed(_ZERO, robust * r, 0, 14) / robust_total
+    apart = summed(_ZERO, weight * size(r - near), 0, 14)
+    centre = lane(counts, OF_SWEEP - 1)
     slope = _ONE / per_w
-    mu[p] = quotient / min(max(base + near * slope, _FAR), _NEAR) - offset
-    mu[p + 1] = quotient / min(max(base + robust_sum / robust * slope, _FAR), _NEAR) - offset
-    mu[p + 2] = mu[p] + signed[0]
-    o += SLOTS
-    there = slot[3, NEXT] > _ZERO
-    x[o] = (mu[p] - centre) * _UNIT
-    x[o + 1] = (mu[p + 1] - centre) * _UNIT
-    x[o + 2] = signed[0] * _UNIT
-    x[o + 3] = slot[0, NEXT + OWN // 2 - 1] if there else -_GAP
-    x[o + 4] = slot[0, NEXT + OWN // 2] if there else _GAP
-    x[o + 5] = slot[1, NEXT + OWN // 2 - 1]
-    x[o + 6] = slot[1, NEXT + OWN // 2]
-    x[o + 7] = spread / total
-    for c in range(len(x) - INPUTS, o + 8):
-        b = x[c] / np.sqrt(_ONE + abs(x[c]))
-        x[c] = b / np.sqrt(_ONE + abs(b))
-    o += 8
-    for c in range(PREDICTORS):
-        x[o + c] = error0[p + c]
-        x[o + PREDICTORS + c] = _HALF * (error1[j1, p + c] + error1[j1 + 1, p + c]) if has1 else _NO_ERROR
-    o += 2 * PREDICTORS
-    x[o] = total / (_ONE + total)
-    x[o + 1] = robust / (_ONE + total)
-    x[o + 2] = _ONE if there else _ZERO
-    x[o + 3] = _ZERO
-    for c in range(len(x) - INPUTS, len(x)):
-        x[c] = min(max(np.floor(x[c] * _SCALE + _HALF), -_LIMIT), _LIMIT)
+    first = quotient / min(max(base + near * slope, _FAR), _NEAR) - offset
+    second = quotient / min(max(base + robust_near * slope, _FAR), _NEAR) - offset
+    own = lane(weight, NEXT) > _ZERO
+    store(x, _RESIDUALS, rounded(squash(r)))
+    others = of(
+        (first - centre) * _UNIT,
+        (second - centre) * _UNIT,
+        before * _UNIT,
+        lane(u, NEXT + OWN // 2 - 1) if own else -_GAP,
+        lane(u, NEXT + OWN // 2) if own else _GAP,
+        lane(v, NEXT + OWN // 2 - 1),
+        lane(v, NEXT + OWN // 2),
+        apart / total,
+    )
+    store(x, _OFFSETS, rounded(squash(others)))
+    above = spread(NO_ERROR, 16)
+    if has1:
+        above = (load(error1, j1 * 16, 16) + load(error1, j1 * 16 + 16, 16)) * _HALF
+    rest = of(
+        lane(error0, 10), lane(error0, 11), lane(error0, 12), lane(above, 10), lane(above, 11), lane(above, 12),
+        total / (total + _ONE), robust_total / (total + _ONE), _ONE if own else _ZERO,
+        _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO,
+    )  # fmt: skip
+    store(x, _REST, rounded(rest))
+    more = of(
+        _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO,
+        first, second, first + before, centre, lane(counts, 0), _ZERO,
+    )  # fmt: skip
+    return splice(counts, more, OF_SWEEP)
 
 
-@njit(cache=True, error_model="numpy")
-def previous_intensity(w0, quotient, slot, values, activity, bias, x):  # type: ignore[no-untyped-def]
-    """Append ``x[-INTENSITY_INPUTS:]``; ``values`` (SLOTS,) are the slots' intensities.
+@inline
+def previous_intensity(w0, quotient, slots, weights, values, activity, bias, x):  # type: ignore[no-untyped-def]
+    """Fill the inputs ``x`` from intensity_features.END on; ``weights`` and ``values`` are scratch, (LANES,).
 
     Returns the intensity of the nearest slot, in azimuth, elevation and range together, and the
     weighted mean.
     """
-    o = len(x) - INTENSITY_INPUTS
+    _, _, w, weight, value = slots
     per_w = quotient / (w0 * w0) * _UNIT
-    total, first = np.float32(1e-3), np.float32(1e-3) * _NONE
+    r = (w - w0) * per_w
+    q = r * _HALF
+    weight = weight / (q * q + _ONE)
+    store(weights, 0, weight)
+    store(values, 0, value)
     most, best = _ZERO, NO_VALUE
-    c = 0
     for s in range(SLOTS):
-        r = (slot[2, s] - w0) * per_w
-        q = r * _HALF
-        weight = slot[3, s] / (_ONE + q * q)
-        total += weight
-        first += weight * values[s]
-        if weight > most:
-            most = weight
+        if weights[s] > most:
+            most = weights[s]
             best = int(values[s])
-        slot[3, s] = weight
-        if (
-            (s >= 1 and s < 3)
-            or (s >= NEXT + 1 and s < NEXT + 5)
-            or (s >= NEXT + OWN + 1 and s < NEXT + OWN + 3)
-        ):
-            x[o + c] = r if weight > _ZERO else _GAP
-            x[o + 8 + c] = values[s] * _PER_STEP
-            c += 1
-    mean = first / total
-    spread = _ZERO
-    for s in range(SLOTS):
-        spread += slot[3, s] * abs(values[s] - mean)
-    for c in range(8):
-        b = x[o + c] / np.sqrt(_ONE + abs(x[o + c]))
-        x[o + c] = b / np.sqrt(_ONE + abs(b))
-    o += 16
-    x[o] = mean * _PER_STEP
-    x[o + 1] = spread / total * _PER_STEP * _TWO
-    x[o + 2] = activity * _PER_STEP * _TWO
-    x[o + 3] = bias * _PER_STEP * _TWO
-    x[o + 4] = total / (_ONE + total)
-    x[o + 5] = _ONE if slot[3, NEXT] > _ZERO else _ZERO
-    x[o + 6] = most / (_ONE + most)
-    x[o + 7] = _ZERO
-    for c in range(len(x) - INTENSITY_INPUTS, len(x)):
-        x[c] = min(max(np.floor(x[c] * _SCALE + _HALF), -_LIMIT), _LIMIT)
+    total = summed(_LITTLE, weight, 0, 14)
+    mean = summed(_LITTLE * intensities.NONE, weight * value, 0, 14) / total
+    apart = summed(_ZERO, weight * size(value - mean), 0, 14)
+    near = pick(choose(weight > _ZERO, r, spread(_GAP, 16)), 1, 2, 5, 6, 7, 8, 11, 12)
+    shown = pick(value, 1, 2, 5, 6, 7, 8, 11, 12) * _PER_STEP
+    rest = of(
+        mean * _PER_STEP, apart / total * _PER_STEP * _TWO, activity * _PER_STEP * _TWO, bias * _PER_STEP * _TWO,
+        total / (total + _ONE), _ONE if weights[NEXT] > _ZERO else _ZERO, most / (most + _ONE), _ZERO,
+    )  # fmt: skip
+    store(x, intensities.END, rounded(squash(near)))
+    store(x, intensities.END + 8, rounded(shown))
+    store(x, intensities.END + 16, rounded(rest))
     return best, mean

@@ -21,7 +21,7 @@ from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import TWO_PI, arctan2, sin_cos
 from salpcc.stages.ingest.untwist import inverse, moved, twist
 from salpcc.stages.predict.hundredths import intensity_levels
-from salpcc.stages.predict.learned.ring_rows import PAD
+from salpcc.stages.predict.learned.ring_rows import PAD, SLACK
 from salpcc.stages.predict.learned.sweep_walk import TICKS
 
 UNKNOWN_INTENSITY = 25
@@ -99,7 +99,7 @@ def _rows(order, row, seen, intensity, lasers):  # type: ignore[no-untyped-def]
     number = np.zeros(lasers, np.int64)
     for i in order:
         number[row[i]] += 1
-    rows = np.zeros((4, lasers, np.max(number) + 2 * PAD), np.float32)
+    rows = np.zeros((4, lasers, np.max(number) + 2 * PAD + SLACK), np.float32)
     fill = np.full(lasers, PAD)
     for i in order:
         k = row[i]
@@ -152,7 +152,7 @@ def warp(before: Sweep | None, motion: NDArray[np.float64] | None, sensor: Senso
     Without a sweep before, or where one of the two motions is not known, the rows are empty.
     """
     if before is None or before.motion is None or motion is None:
-        empty = np.zeros((4, sensor.n_lasers, 2 * PAD), np.float32)
+        empty = np.zeros((4, sensor.n_lasers, 2 * PAD + SLACK), np.float32)
         return WarpedSweep(np.zeros(sensor.n_lasers, np.int64), *empty)
     middles = before.count.astype(np.float64) * before.step + (before.step - 1) / 2
     values = intensity_levels(before.intensity)

@@ -11,16 +11,41 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.predict.learned.features import INPUTS, PREDICTORS, note_errors, point_features
-from salpcc.stages.predict.learned.local_plane import WORK
-from salpcc.stages.predict.learned.mixture import BITS, SHARED, find_level, level_start, set_mixture
-from salpcc.stages.predict.learned.network import Network, forward
+from salpcc.stages.predict.learned.features import (
+    GAPS,
+    INPUTS,
+    NO_ERROR,
+    PREDICTORS,
+    SCALE_BITS,
+    point_features,
+    ring_gaps,
+    slot_places,
+    squashed_errors,
+)
+from salpcc.stages.predict.learned.local_plane import LEFT
+from salpcc.stages.predict.learned.mixture import (
+    BITS,
+    PLACES,
+    SHARED,
+    find_level,
+    level_ends,
+    output_places,
+    set_mixture,
+)
+from salpcc.stages.predict.learned.network import Layers, Network, forward, pack
+from salpcc.stages.predict.learned.previous_features import (
+    INPUT_PLACES,
+    LANES,
+    gather,
+    previous_features,
+    slots_there,
+)
 from salpcc.stages.predict.learned.previous_features import INPUTS as PREVIOUS_INPUTS
 from salpcc.stages.predict.learned.previous_features import PREDICTORS as PREVIOUS_PREDICTORS
-from salpcc.stages.predict.learned.previous_features import SLOTS, gather, previous_features
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
-from salpcc.stages.predict.learned.ring_rows import PAD, align, close_ring
+from salpcc.stages.predict.learned.ring_rows import PAD, align, close_ring, row_size
 from salpcc.stages.predict.learned.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
+from salpcc.stages.predict.learned.vectors import kernel, lane, load, pick, push, spread, store
 from salpcc.stages.residual_code.range_coder import (
     decode_interval,
     decode_target,
@@ -33,50 +58,128 @@ _NO_KEEP = np.zeros(0, np.bool_)
 _NO_ROWS = (np.zeros((0, 0), np.int16), np.zeros((0, 0), np.float32), np.zeros(0, np.float32))
 PREDICT, DECODE, COLLECT = 0, 1, 2
 _NO_INTERVALS = np.zeros((0, 2), np.uint32)
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+
+
+@kernel
+def _ring(  # type: ignore[no-untyped-def]
+    mode, k, lo, m, level, step, levels, constants, layers, intervals, state, data, keep, rows, rows_x, rows_mu, rows_y,
+    here, above, second, places, gaps, height2, scratch, before, seen, cones,
+):  # fmt: skip
+    """Visit the returns of ring k, ``lo`` to ``lo + m``; return how many rows there are now."""
+    azimuth, inverse, errors = here
+    frame1, inverse1, errors1, index1, value1, has1 = above
+    frame2, inverse2, index2, value2, has2 = second
+    x, h, sums, mu, mixture, whole, parts = scratch
+    quotient, offset = constants[k, 0], constants[k, 1]
+    step_value, middle = np.float32(step_feature(step)), np.float32((step - 1) * 0.5)
+    shift = layers.shifts[len(layers.shifts) - 1] + SCALE_BITS
+    left, error0, signed = spread(_ZERO, 8), spread(NO_ERROR, 16), _ZERO
+    components = PREDICTORS + len(SHARED)
+    if before is not None:
+        components += PREVIOUS_PREDICTORS
+        number, _, rows_inverse, rows_height, rows_intensity = before
+        frames, indices, there = seen
+        slots_there(k, number, there)
+    for i in range(m):
+        w1, tight, slope_u, slope_v, base, counts = point_features(
+            i, azimuth, left, frame1, inverse1, errors1, index1, value1, has1, frame2, inverse2, index2, value2, has2,
+            height2, quotient, offset, step_value, places, gaps, error0, x,
+        )  # fmt: skip
+        if before is None:
+            counts = pick(counts, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 0, 0, 0, 0, 0)
+        else:
+            slots = gather(
+                i,
+                k,
+                azimuth[PAD + i],
+                frames,
+                indices,
+                there,
+                rows_inverse,
+                rows_height,
+                rows_intensity,
+                cones[k],
+            )
+            counts = previous_features(
+                w1, tight, slope_u, slope_v, base, quotient, offset, slots, signed, error0, errors1,
+                index1[i], has1, x, counts,
+            )  # fmt: skip
+        store(mu, 0, counts)
+        value = 0
+        if mode == COLLECT:
+            value = int(level[lo + i])
+        else:
+            width = layers.first.shape[1] >> 1
+            for j in range(0, width, 16):
+                store(sums, j, load(layers.tables, k * width + j, 16))
+            forward(x, k, layers, h, sums)
+            set_mixture(sums, shift, mu, components, mixture, whole)
+            if mode == DECODE:
+                target = decode_target(state, BITS)
+                value, low, high = find_level(mixture, components, target, step, levels, whole, parts)
+                decode_interval(state, data, low, high - low, BITS)
+                level[lo + i] = value
+            else:
+                value = int(level[lo + i])
+                low, high = level_ends(mixture, components, value, step, levels, whole, parts)
+                intervals[lo + i, 0] = low
+                intervals[lo + i, 1] = high - low
+        actual = np.float32(value * step) + middle
+        w = quotient / max(actual + offset, _ONE)
+        inverse[PAD + i] = w
+        left = push(left, w)
+        error = squashed_errors(actual, counts)
+        store(errors, (PAD + i) * 16, error)
+        error0 = (error0 + error) * _HALF
+        if before is not None:
+            signed = actual - lane(counts, PREDICTORS)
+        if mode == COLLECT and keep[lo + i]:
+            for p in range(rows_x.shape[1]):
+                rows_x[rows, p] = x[INPUT_PLACES[p]]
+            for p in range(rows_mu.shape[1]):
+                rows_mu[rows, p] = mu[p] - mu[PREDICTORS - 1]
+            rows_y[rows] = actual - mu[PREDICTORS - 1]
+            rows += 1
+    return rows
 
 
 @njit(cache=True, error_model="numpy")
 def walk(  # type: ignore[no-untyped-def]
-    mode, starts, tick, level, step, levels, constants,
-    first, tables, hidden, hidden_bias, last, last_bias, scales, intervals, state, data,
-    keep, rows_x, rows_mu, rows_y, before, cones,
+    mode, starts, tick, level, step, levels, constants, layers, intervals, state, data, keep, rows_x, rows_mu, rows_y,
+    before, cones,
 ):  # fmt: skip
     """Visit every return in firing order: predict ``level``, decode it, or collect rows.
 
     PREDICT fills ``intervals`` with where each level lies in its predicted distribution.
     COLLECT fills one training row per return with ``keep`` set: features, predictions and the actual
-    count, both relative to the base, in counts. Returns the number of rows.
+    count, both relative to the base, in counts.
 
     ``before`` are the arrays of a :class:`WarpedSweep`, with ``cones`` of :func:`previous_sweep.cones`, or
     both None for a network that does not ask for them.
     """
-    inputs, predictors = INPUTS, PREDICTORS
-    if before is not None:
-        inputs, predictors = INPUTS + PREVIOUS_INPUTS, PREDICTORS + PREVIOUS_PREDICTORS
-        number, rows_azimuth, rows_inverse, rows_height, rows_intensity = before
-        width = rows_azimuth.shape[1]
-        frames = np.zeros((3, width), np.float32)
-        indices = np.zeros((3, longest_ring(starts)), np.int32)
+    if before is None:
+        seen = None
+    else:
+        number, rows_azimuth, rows_inverse, _, _ = before
+        frames = np.zeros((3, rows_azimuth.shape[1]), np.float32)
+        indices = np.full((3, longest_ring(starts)), PAD, np.int32)
+        seen = frames, indices, np.zeros(LANES, np.float32)
         unused = np.zeros(longest_ring(starts), np.float32)
-        slot, values = np.zeros((4, SLOTS), np.float32), np.zeros(SLOTS, np.float32)
-        signed = np.zeros(1, np.float32)
-    size = longest_ring(starts) + 2 * PAD
-    azimuth = np.zeros((3, size), np.float32)
-    inverse = np.zeros((3, size), np.float32)
-    error = np.zeros((3, size, predictors), np.float32)
+    size = row_size(starts)
+    azimuth, inverse = np.zeros((3, size), np.float32), np.zeros((3, size), np.float32)
+    error = np.zeros((3, size, 16), np.float32)
     count = np.zeros(3, np.int64)
     frame1, frame2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
-    index1, index2 = np.zeros(size, np.int32), np.zeros(size, np.int32)
+    index1, index2 = np.full(size, PAD, np.int32), np.full(size, PAD, np.int32)
     value1, value2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
-    error0 = np.zeros(predictors, np.float32)
-    work = np.zeros(WORK, np.float32)
-    x = np.zeros(inputs, np.float32)
-    mu = np.zeros(predictors, np.float32)
-    h, acc = np.zeros(first.shape[1], np.float32), np.zeros(first.shape[1], np.float32)
-    out = np.zeros(last.shape[1], np.float32)
-    mix = np.zeros((3, predictors + len(SHARED)))
-    step_value = np.float32(step_feature(step))
-    middle = np.float32((step - 1) * 0.5)
+    places, gaps = np.zeros((LEFT + 1, 32), np.float32), np.zeros((size, GAPS), np.int16)
+    width = layers.first.shape[1] >> 1
+    scratch = (
+        np.zeros(layers.first.shape[0] * 2 + 16, np.int16), np.zeros(width, np.int16),
+        np.zeros(max(width, layers.last.shape[1] >> 1), np.int32), np.zeros(PLACES, np.float32),
+        np.zeros(3 * PLACES), np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES),
+    )  # fmt: skip
     rows = 0
     for k in range(len(starts) - 1):
         r0, r1, r2 = k % 3, (k + 2) % 3, (k + 1) % 3
@@ -85,76 +188,43 @@ def walk(  # type: ignore[no-untyped-def]
         count[r0] = m
         if m == 0:
             continue
-        places, here, errors = azimuth[r0], inverse[r0], error[r0]
-        above, errors1, second = inverse[r1], error[r1], inverse[r2]
-        quotient, offset, turn, lever = constants[k, 0], constants[k, 1], constants[k, 3], constants[k, 4]
+        turn, lever = constants[k, 3], constants[k, 4]
         for i in range(m):
-            places[PAD + i] = np.float32(tick[lo + i]) + turn
+            azimuth[r0, PAD + i] = np.float32(tick[lo + i]) + turn
         has1 = k >= 1 and count[r1] > 0
         has2 = k >= 2 and count[r2] > 0 and has1
         if has1:
             arm = constants[k - 1, 4] - lever
-            align(azimuth[r1], above, count[r1], arm, places, m, frame1, index1, value1)
+            align(azimuth[r1], inverse[r1], count[r1], arm, azimuth[r0], m, frame1, index1, value1)
         if has2:
             arm = constants[k - 2, 4] - lever
-            align(azimuth[r2], second, count[r2], arm, places, m, frame2, index2, value2)
-        height2 = np.float32(height_ratio(constants, k))
-        error0[:] = np.float32(1.5)
+            align(azimuth[r2], inverse[r2], count[r2], arm, azimuth[r0], m, frame2, index2, value2)
         if before is not None:
-            signed[0] = np.float32(0.0)
             for r in range(max(k - 1, 0), min(k + 2, len(number))):
                 if number[r] > 0:
                     align(
-                        rows_azimuth[r], rows_inverse[r], number[r], -lever, places, m,
+                        rows_azimuth[r], rows_inverse[r], number[r], -lever, azimuth[r0], m,
                         frames[r - k + 1], indices[r - k + 1], unused,
                     )  # fmt: skip
-        for i in range(m):
-            w1, tight, slope_u, slope_v, base = point_features(
-                i, m, places, here, frame1, above, errors1, index1, value1, has1,
-                frame2, second, index2, value2, has2, height2, quotient, offset, step_value,
-                error0, work, x, mu,
-            )  # fmt: skip
-            if before is not None:
-                gather(
-                    i, k, places[PAD + i], frames, indices, number, rows_inverse, rows_height, rows_intensity,
-                    cones[k, 0], cones[k, 1], cones[k, 2], slot, values,
-                )  # fmt: skip
-                previous_features(
-                    w1, tight, slope_u, slope_v, base, quotient, offset, slot, signed, error0, errors1,
-                    index1[i], has1, x, mu,
-                )  # fmt: skip
-            value = 0
-            if mode == COLLECT:
-                value = int(level[lo + i])
-            else:
-                for j in range(len(acc)):
-                    acc[j] = tables[0, k, j]
-                forward(x, k, first, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
-                n = set_mixture(out, mu, mix)
-                if mode == DECODE:
-                    value, low, high = find_level(mix, n, decode_target(state, BITS), step, levels)
-                    decode_interval(state, data, low, high - low, BITS)
-                    level[lo + i] = value
-                else:
-                    value = int(level[lo + i])
-                    low = level_start(mix, n, value, step, levels)
-                    high = level_start(mix, n, value + 1, step, levels)
-                    intervals[lo + i, 0] = low
-                    intervals[lo + i, 1] = high - low
-            actual = np.float32(value * step) + middle
-            here[PAD + i] = quotient / max(actual + offset, np.float32(1.0))
-            note_errors(actual, mu, error0, errors, PAD + i)
-            if before is not None:
-                signed[0] = actual - mu[PREDICTORS]
-            if mode == COLLECT and keep[lo + i]:
-                for p in range(inputs):
-                    rows_x[rows, p] = np.int16(x[p])
-                for p in range(predictors):
-                    rows_mu[rows, p] = mu[p] - mu[PREDICTORS - 1]
-                rows_y[rows] = actual - mu[PREDICTORS - 1]
-                rows += 1
-        close_ring(places, here, errors, m)
-    return rows
+        slot_places(has1, has2, places)
+        ring_gaps(m, azimuth[r0], frame1, index1, has1, frame2, index2, has2, gaps)
+        rows = _ring(
+            mode, k, lo, m, level, step, levels, constants, layers, intervals, state, data,
+            keep, rows, rows_x, rows_mu, rows_y, (azimuth[r0], inverse[r0], error[r0]),
+            (frame1, inverse[r1], error[r1], index1, value1, has1), (frame2, inverse[r2], index2, value2, has2),
+            places, gaps, np.float32(height_ratio(constants, k)), scratch, before, seen, cones,
+        )  # fmt: skip
+        close_ring(azimuth[r0], inverse[r0], error[r0], m)
+
+
+def _packed(network: Network, before: WarpedSweep | None) -> Layers:
+    """The network's weights in the order of features and components."""
+    more = before is not None
+    return pack(
+        network,
+        INPUT_PLACES[: INPUTS + PREVIOUS_INPUTS * more],
+        output_places(PREDICTORS + PREVIOUS_PREDICTORS * more),
+    )
 
 
 def count_levels(level: NDArray[np.int32]) -> int:
@@ -186,7 +256,7 @@ def predict_ranges(
     intervals = np.zeros((len(level), 2), np.uint32)
     unread = np.zeros(1, np.uint8)
     walk(
-        PREDICT, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), intervals,
+        PREDICT, starts, tick, level, step, levels, laser_constants(sensor), _packed(network, before), intervals,
         start_decoder(unread), unread, _NO_KEEP, *_NO_ROWS, *given(before, sensor),
     )  # fmt: skip
     return intervals
@@ -210,7 +280,7 @@ def decode_ranges(
     body = np.ascontiguousarray(data[HEADER:])
     state = start_decoder(body)
     walk(
-        DECODE, starts, tick, level, step, levels, laser_constants(sensor), *network.arrays(), _NO_INTERVALS, state,
+        DECODE, starts, tick, level, step, levels, laser_constants(sensor), _packed(network, before), _NO_INTERVALS, state,
         body, _NO_KEEP, *_NO_ROWS, *given(before, sensor),
     )  # fmt: skip
     return level, bool(state[3] == 0)
@@ -231,9 +301,9 @@ def collect_ranges(
     x = np.zeros((n, INPUTS + PREVIOUS_INPUTS * more), np.int16)
     mu = np.zeros((n, PREDICTORS + PREVIOUS_PREDICTORS * more), np.float32)
     y = np.zeros(n, np.float32)
-    none = Network.empty(INPUTS, 4)
+    none = _packed(Network.empty(x.shape[1]), before)
     walk(
-        COLLECT, starts, tick, level, step, 1, laser_constants(sensor), *none.arrays(), _NO_INTERVALS,
+        COLLECT, starts, tick, level, step, 1, laser_constants(sensor), none, _NO_INTERVALS,
         start_decoder(np.zeros(1, np.uint8)), np.zeros(1, np.uint8), keep, x, mu, y, *given(before, sensor),
     )  # fmt: skip
     return x, mu, y

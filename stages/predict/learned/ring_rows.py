@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from salpcc.stages.predict.learned.sweep_walk import longest_ring
 
 PAD = 8  # returns of a margin
+SLACK = 8  # room behind the last margin that vectors may read
 
 _TICKS = np.float32(4000.0)
 _TICKS_PER_RADIAN = np.float32(636.6197723675814)
@@ -24,10 +25,16 @@ I32 = NDArray[np.int32]
 
 
 @njit(cache=True, error_model="numpy")
+def row_size(starts: NDArray[np.int64]) -> int:
+    """Return how many places a row needs for the longest ring."""
+    return longest_ring(starts) + 2 * PAD + SLACK
+
+
+@njit(cache=True, error_model="numpy")
 def place_rings(starts, tick, level, step, constants):  # type: ignore[no-untyped-def]
     """Azimuths and inverse ranges of all rings, each at ``[PAD, PAD + n)`` of its row, margins cyclic."""
     n_rings = len(starts) - 1
-    size = longest_ring(starts) + 2 * PAD
+    size = row_size(starts)
     azimuth = np.zeros((n_rings, size), np.float32)
     inverse = np.ones((n_rings, size), np.float32)
     middle = np.float32((step - 1) * 0.5)

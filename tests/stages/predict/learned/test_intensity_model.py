@@ -6,7 +6,6 @@ import pytest
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned.intensity_model import decode_intensity, predict_intensity
 from salpcc.stages.predict.learned.models import EFFORTS, load_models
-from salpcc.stages.predict.learned.value_intervals import frequencies
 
 from .conftest import Returns, coded
 
@@ -44,15 +43,6 @@ def test_any_intensities_come_back(returns: Returns, sensor: SensorModel) -> Non
 def test_an_intensity_above_100_is_refused(returns: Returns, sensor: SensorModel) -> None:
     with pytest.raises(ValueError, match="must lie in 0"):
         encode(returns._replace(intensity=returns.intensity + np.uint8(101)), 1, sensor)
-
-
-def test_frequencies_are_positive_and_favour_the_largest_logit() -> None:
-    logits = np.linspace(-40, 3, 104).astype(np.float32)
-    frequency = np.zeros(101, np.int32)
-    frequencies(logits, frequency)
-    assert frequency.min() == 1
-    assert frequency.argmax() == 100
-    assert frequency[100] == 16385
 
 
 def test_damage_never_leaves_the_bounds(returns: Returns, sensor: SensorModel) -> None:

@@ -1,42 +1,91 @@
 """The network is exact: the kernel equals integer arithmetic, weights that are not exact are refused."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import njit
 
 from salpcc.schemas.errors import SalpccError
 from salpcc.stages.predict.learned.export import quantize_network
 from salpcc.stages.predict.learned.models import EFFORTS, load_models
-from salpcc.stages.predict.learned.network import Network, check, forward, load_network, save_network
+from salpcc.stages.predict.learned.network import (
+    NEVER,
+    Layers,
+    Network,
+    check,
+    forward,
+    load_network,
+    pack,
+    save_network,
+)
 
 
-def in_integers(network: Network, x: np.ndarray, laser: int) -> np.ndarray:
-    """The same network in int64, the oracle."""
-    w = [a.astype(np.int64) for a in network.arrays()]
-    first, tables, hidden, hidden_bias, last, last_bias, scales = w
-    total = x.astype(np.int64) @ first + tables[0, laser]
+def in_integers(network: Network, x: np.ndarray, bias: np.ndarray, laser: int) -> np.ndarray:
+    """The same network in int64, from its stored weights: the oracle."""
+    first, _, hidden, hidden_bias, last, last_bias, scales = (
+        getattr(network, field.name).astype(np.int64) for field in fields(network)
+    )
+    total = x.astype(np.int64) @ first + bias
     h = np.clip((2 * total + scales[0]) // (2 * scales[0]), 0, 1023)
     for layer, weight in enumerate(np.split(hidden, len(hidden_bias))):
         s = scales[1 + layer]
         h = np.clip((2 * (h @ weight + hidden_bias[layer]) + s) // (2 * s), 0, 1023)
-    return (h @ last + last_bias[laser]) / (scales[-1] * 128)
+    return h @ last + last_bias[laser]
+
+
+@njit(error_model="numpy")
+def run(x: np.ndarray, laser: int, layers: Layers, h: np.ndarray, sums: np.ndarray) -> None:
+    forward(x, laser, layers, h, sums)
+
+
+def answer(
+    network: Network, x: np.ndarray, bias: np.ndarray, laser: int, inputs: tuple, places: tuple
+) -> np.ndarray:
+    """What the kernel answers, at its places."""
+    layers = pack(network, inputs, places)
+    moved = np.zeros(2 * len(layers.first), np.int16)
+    moved[list(inputs)] = x
+    width = layers.first.shape[1] // 2
+    sums = np.zeros(max(width, layers.last.shape[1] // 2), np.int32)
+    sums[: len(bias)] = bias
+    run(moved, laser, layers, np.zeros(width, np.int16), sums)
+    return sums[: layers.last.shape[1] // 2]
 
 
 @pytest.mark.parametrize("effort", EFFORTS)
 @pytest.mark.parametrize("which", ["ranges", "intensity"])
-def test_forward_equals_integer_arithmetic(effort: str, which: str) -> None:
+@pytest.mark.parametrize("extreme", [False, True])
+def test_forward_equals_integer_arithmetic(effort: str, which: str, extreme: bool) -> None:
     network: Network = getattr(load_models(effort), which)
     rng = np.random.default_rng(5)
-    width, outputs = network.last.shape
+    inputs = tuple(rng.permutation(len(network.first) + 9)[: len(network.first)].tolist())
+    outputs = network.last.shape[1]
+    places = tuple(rng.permutation(outputs + 20)[: outputs - 2].tolist())
     for laser in (0, 31, 63):
-        x = rng.integers(-1023, 1024, len(network.first)).astype(np.float32)
-        acc = network.tables[0, laser].copy()
-        h, out = np.zeros(width, np.float32), np.zeros(outputs, np.float32)
-        first, _, hidden, hidden_bias, last, last_bias, scales = network.arrays()
-        forward(x, laser, first, hidden, hidden_bias, last, last_bias, scales, h, acc, out)
-        np.testing.assert_array_equal(out, in_integers(network, x, laser).astype(np.float32))
+        x = rng.integers(-1023, 1024, len(network.first))
+        if extreme:
+            x = np.where(x < 0, -1023, 1023)
+        bias = network.tables[0, laser]
+        found = answer(network, x, bias, laser, inputs, places)
+        wanted = in_integers(network, x, bias, laser)
+        np.testing.assert_array_equal(found[list(places)], wanted[: outputs - 2])
+        others = np.ones(len(found), bool)
+        others[list(places)] = False
+        assert (found[others] == NEVER).all()
+
+
+@pytest.mark.parametrize("width", [8, 16, 32, 48, 64, 80, 112, 128, 144])
+def test_any_width_is_exact(width: int) -> None:
+    rng = np.random.default_rng(width)
+    layers = [
+        (rng.normal(size=s) / 9, rng.normal(size=s[1])) for s in ((13, width), (width, width), (width, 5))
+    ]
+    network = quantize_network(layers, [rng.normal(size=(64, width))])
+    x = rng.integers(-1023, 1024, 13)
+    found = answer(network, x, network.tables[0, 7], 7, tuple(range(13)), tuple(range(5)))
+    np.testing.assert_array_equal(found[:5], in_integers(network, x, network.tables[0, 7], 7))
 
 
 def small() -> Network:
@@ -50,8 +99,8 @@ def test_weights_come_back_from_a_file(tmp_path: Path) -> None:
     save_network(tmp_path / "w.npz", network)
     back = load_network(tmp_path / "w.npz")
     assert back.digest == network.digest
-    for a, b in zip(network.arrays(), back.arrays(), strict=True):
-        np.testing.assert_array_equal(a, b)
+    for field in fields(network):
+        np.testing.assert_array_equal(getattr(back, field.name), getattr(network, field.name))
 
 
 def test_digest_names_the_weights() -> None:
@@ -63,8 +112,36 @@ def test_digest_names_the_weights() -> None:
 @pytest.mark.parametrize("field", ["first", "hidden", "last", "tables", "last_bias"])
 def test_inexact_weights_are_refused(field: str) -> None:
     network = small()
-    with pytest.raises(SalpccError, match="not exact"):
-        check(replace(network, **{field: getattr(network, field) * np.float32(2**20)}))
+    with pytest.raises(SalpccError, match="too large to be exact"):
+        check(replace(network, **{field: getattr(network, field) << 16}))
+
+
+@pytest.mark.parametrize("field", ["first", "hidden", "last"])
+def test_a_weight_beyond_16_bits_is_refused(field: str) -> None:
+    network = small()
+    weight = np.zeros_like(getattr(network, field))
+    check(replace(network, **{field: weight}))
+    weight[0, 0] = 1 << 15
+    with pytest.raises(SalpccError, match="too large"):
+        check(
+            replace(
+                network, **{field: weight, "tables": network.tables * 0, "last_bias": network.last_bias * 0}
+            )
+        )
+
+
+def test_a_scale_that_is_no_power_of_two_is_refused() -> None:
+    network = small()
+    with pytest.raises(SalpccError, match="powers of two"):
+        check(replace(network, scales=network.scales + 1))
+
+
+def test_export_keeps_weights_in_16_bits() -> None:
+    """One large weight alone needs no small scale for its sum, but for its own bits."""
+    layers = [(np.full((1, 8), 14.0), np.zeros(8)), (np.eye(8), np.zeros(8)), (np.eye(8), np.zeros(8))]
+    network = quantize_network(layers, [np.zeros((64, 8))])
+    check(network)
+    assert network.first.max() < 1 << 15
 
 
 def test_unknown_effort_is_refused() -> None:
