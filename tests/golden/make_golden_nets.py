@@ -27,12 +27,12 @@ from salpcc.stages.ingest.list_motion import places, redo
 from salpcc.stages.ingest.sensor_model import SensorModel
 
 FOLDER = GOLDEN / "nets"
-LASERS, COLUMNS = 16, 150
+LASERS, COLUMNS = 8, 300
 MOTION = np.array([-0.5, 0.01, 0.01, 1e-3, -5e-4, 3e-3])
 
 
 def fan() -> SensorModel:
-    """A sensor whose files no coder of its own knows: 16 lasers, 1 mm counts."""
+    """A sensor whose files no coder of its own knows: 8 lasers, 1 mm counts."""
     none, rng = np.zeros(LASERS), np.random.default_rng(0)
     theta = np.radians(np.linspace(15, -15, LASERS))
     return SensorModel(
@@ -44,7 +44,7 @@ def strays() -> dict[str, NDArray[np.float32]]:
     """Points ``(N, 3)`` by what they are: each takes another way through the coder."""
     sensor, rng = fan(), np.random.default_rng(1)
     laser = np.repeat(np.arange(LASERS), COLUMNS)
-    tick = np.tile(np.arange(COLUMNS) * 12, LASERS)
+    tick = np.tile(np.arange(COLUMNS) * 6, LASERS)
     far = np.minimum(12.0 + tick // 400 * 2.0, 1.7 / np.maximum(-np.sin(sensor.theta[laser]), 0.02))
     count = np.rint((far + rng.normal(0, 0.01, len(tick))) / sensor.count)
     still = unproject(sensor, laser.astype(np.uint8), tick.astype(np.int32), count)
