@@ -58,6 +58,7 @@ def strays() -> dict[str, NDArray[np.float32]]:
     moved = redo(firings.astype(np.float64), places(len(firings), LASERS), MOTION)
     return {
         "rows": rows,
+        "rows of another sensor": rows * np.float32(1.01),
         "firings": firings,
         "returns": firings[seen],
         "void": void,
