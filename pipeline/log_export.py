@@ -23,6 +23,7 @@ from salpcc.schemas.log import LogChannel, LogMessage, LogMetadata
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import scan_to_message
+from salpcc.stages.ingest.sources.bag import channels_of
 from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes
 
 _POINTS = LogChannel(
@@ -126,9 +127,9 @@ def _message(archive: Archive, scan: Scan, place: int) -> tuple[LogChannel, LogM
         dense = bool((scan.points - scan.points == 0).all())  # neither NaN nor infinite
         message = CloudMessage(scan.time, scan.frame_id, len(scan), data, is_dense=dense)
         return _POINTS, LogMessage(1, scan.time, scan.time, place, message.to_cdr())
-    for channel in archive.log.values():
-        if channel.topic == cloud.topic and channel.encoding == cloud.encoding and channel.holds_clouds:
-            times = scan.time, scan.time + cloud.delay
+    for channel in channels_of(cloud, archive.log):
+        if cloud.channel in (0, channel.id):
+            times = scan.time, (scan.time + cloud.delay) % 2**64
             return channel, LogMessage(channel.id, *times, cloud.sequence, scan_to_message(scan))
     raise UsageError(f"{archive.sequence}: the archive does not tell of the topic {cloud.topic}")
 

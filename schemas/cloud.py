@@ -17,13 +17,14 @@ class Cloud:
 
     Attributes:
         topic: that the message came on.
-        delay: nanoseconds from the time that the log has it to its publish time.
+        delay: nanoseconds from the time that the log has it to its publish time, modulo 2^64, from -2^63 on.
         sequence: number that the log gives it.
         encoding: ``cdr`` or ``ros1``.
         head, tail: bytes of the message before and after the points.
         loose: bytes between the rows, row by row; empty where points were dropped.
         rest: ``(N, R)`` uint8, the bytes :attr:`Layout.rest` of each point, as they lay in the message.
         whole: no point was dropped.
+        channel: id of the log's channel that it came on; 0 where topic and encoding tell.
     """
 
     topic: str
@@ -35,6 +36,7 @@ class Cloud:
     whole: bool = True
     delay: int = 0
     sequence: int = 0
+    channel: int = 0
 
     @property
     def layout(self) -> Layout:

@@ -24,6 +24,7 @@ CLOUD = pa.field(
             pa.field("whole", pa.bool_(), nullable=False),
             pa.field("delay", pa.int64(), nullable=False),
             pa.field("sequence", pa.int64(), nullable=False),
+            pa.field("channel", pa.int64(), nullable=False),
         ]
     ),
 )

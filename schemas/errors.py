@@ -33,3 +33,7 @@ class ArchiveError(SalpccError):
 
 class LockedError(SalpccError):
     """Another run holds the output folder."""
+
+
+class LogWarning(UserWarning):
+    """A log is not what its metadata say, or something in it stays behind; one line, said before anything is written."""

@@ -14,7 +14,7 @@ from salpcc.schemas.shards import TASK, list_array, list_column, list_of
 
 _FIELDS = [
     pa.field("name", pa.string(), nullable=False),
-    pa.field("time", pa.int64(), nullable=False),
+    pa.field("time", pa.uint64(), nullable=False),
     pa.field("frame_id", pa.string(), nullable=False),
     pa.field("n_points", pa.int64(), nullable=False),
     pa.field("accuracy", pa.float64(), nullable=False),

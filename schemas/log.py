@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/PointCloud2")
@@ -27,9 +27,24 @@ class LogChannel:
         return self.type in CLOUD_TYPES and self.encoding in ("cdr", "ros1")
 
 
+def known_as(new: LogChannel, channels: dict[int, LogChannel], taken: Collection[int]) -> LogChannel:
+    """Find the channel of a log that tells the same as that of one of its files, or add it under the next id.
+
+    Args:
+        taken: ids of that file's other channels. Two of one file that tell the same stay two.
+    """
+    for known in channels.values():
+        if known.id not in taken and replace(new, id=known.id) == known:
+            return known
+    return channels.setdefault(len(channels) + 1, replace(new, id=len(channels) + 1))
+
+
 @dataclass(frozen=True)
 class LogMessage:
-    """A message as it is recorded; times in nanoseconds, ``at`` the place by which its log finds it again."""
+    """A message as it is recorded; times in nanoseconds, ``at`` the place by which its log finds it again.
+
+    No other message of the log has the same place: it is of the file and of the record, row or byte in it.
+    """
 
     channel: int
     log_time: int
@@ -76,4 +91,8 @@ class Log(Protocol):
 
     def enclosed(self) -> Iterator[Enclosed]:
         """Yield what the log holds besides messages, in the order of the file."""
+        ...
+
+    def left_behind(self) -> list[str]:
+        """Say what of it is none of these and stays behind; all messages have been gone through before."""
         ...

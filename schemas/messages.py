@@ -87,7 +87,7 @@ class CloudMessage:
         """Serialise as CDR, version 1, little endian."""
         out = _Writer()
         seconds, nanoseconds = divmod(self.stamp, 1_000_000_000)
-        out.put("<i", seconds)
+        out.put("<i", (seconds + 2**31) % 2**32 - 2**31)  # ROS has no more than 32 bits for them
         out.put("<I", nanoseconds)
         out.text(self.frame_id)
         out.put("<I", self.height)

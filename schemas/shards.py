@@ -31,7 +31,7 @@ def list_of(kind: pa.DataType) -> pa.DataType:
 
 _SWEEP_FIELDS = [
     pa.field("name", pa.string(), nullable=False),
-    pa.field("time", pa.int64(), nullable=False),
+    pa.field("time", pa.uint64(), nullable=False),
     pa.field("frame_id", pa.string(), nullable=False),
     pa.field("n_points", pa.int64(), nullable=False),
     pa.field("motion", list_of(pa.float64())),
@@ -79,7 +79,7 @@ PREDICTION = pa.schema(
 PAYLOAD = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
-        pa.field("time", pa.int64(), nullable=False),
+        pa.field("time", pa.uint64(), nullable=False),
         pa.field("frame_id", pa.string(), nullable=False),
         *(
             pa.field(k, pa.int64(), nullable=False)

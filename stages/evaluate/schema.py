@@ -18,7 +18,7 @@ METRICS = pa.schema(
         ("sequence", pa.string()),
         ("gop", pa.int32()),
         ("name", pa.string()),
-        ("time", pa.int64()),  # ns
+        ("time", pa.uint64()),  # ns
         ("points_in", pa.int64()),
         ("points_kept", pa.int64()),
         ("points_dropped_movable", pa.int64()),

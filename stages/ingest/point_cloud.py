@@ -56,7 +56,7 @@ def message_to_scan(message: LogMessage, encoding: str, topic: str, name: str) -
     for axis, field in enumerate(layout.xyz):
         points[:, axis] = _float32(rows, field, layout)
     rest = rows[:, layout.rest]
-    delay = message.publish_time - message.log_time
+    delay = (message.publish_time - message.log_time + 2**63) % 2**64 - 2**63
     cloud = Cloud(
         topic, encoding, raw[:start], raw[end:], loose, rest, delay=delay, sequence=message.sequence
     )
@@ -145,7 +145,8 @@ def same_message(one: Cloud | None, other: Cloud | None, exact: bool = True) -> 
     if one is None or other is None:
         return one is other
     facts = [
-        (c.topic, c.encoding, c.delay, c.sequence, c.head, c.tail, c.loose, c.whole) for c in (one, other)
+        (c.topic, c.channel, c.encoding, c.delay, c.sequence, c.head, c.tail, c.loose, c.whole)
+        for c in (one, other)
     ]
     if facts[0] != facts[1] or one.rest.shape != other.rest.shape:
         return False

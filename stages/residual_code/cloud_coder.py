@@ -19,8 +19,9 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.residual_code.byte_coder import decode_bytes, encode_bytes
 from salpcc.stages.residual_code.field_coder import Points, decode_field, encode_field
 
-_WHOLE, _ROS1 = 1, 2
+_WHOLE, _ROS1, _CHANNEL = 1, 2, 4
 _NUMBERS = struct.Struct("<qI")
+_ID = struct.Struct("<H")
 _SECTION = struct.Struct("<BIIIII")  # flags, lengths of topic, head, tail, their code, the loose bytes
 
 
@@ -41,11 +42,12 @@ def encode_cloud(
     """
     topic = cloud.topic.encode()
     envelope = _NUMBERS.pack(cloud.delay, cloud.sequence) + topic + cloud.head + cloud.tail
+    envelope += _ID.pack(cloud.channel) if cloud.channel else b""
     code = encode_bytes(envelope, before)
     loose = encode_bytes(cloud.loose, bytearray())
     layout = cloud.layout
     known = points_of(points, cloud)
-    flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1
+    flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1 + (cloud.channel > 0) * _CHANNEL
     parts = [
         _SECTION.pack(flags, len(topic), len(cloud.head), len(cloud.tail), len(code), len(loose)),
         code,
@@ -79,12 +81,14 @@ def decode_cloud(
         raise ArchiveError("payload does not decode") from error
     n_topic, n_head, n_tail, n_code, n_loose = lengths
     at = _SECTION.size + n_code + n_loose
-    if flags > 3 or n_topic + n_head + n_tail > MAX_ENVELOPE or at > len(section):
+    n_id = _ID.size if flags & _CHANNEL else 0
+    if flags > 7 or n_topic + n_head + n_tail > MAX_ENVELOPE or at > len(section):
         raise ArchiveError("payload does not decode")
     code = section[_SECTION.size : _SECTION.size + n_code]
-    envelope = decode_bytes(code, _NUMBERS.size + n_topic + n_head + n_tail, before)
+    envelope = decode_bytes(code, _NUMBERS.size + n_topic + n_head + n_tail + n_id, before)
     delay, sequence = _NUMBERS.unpack_from(envelope)
-    envelope = envelope[_NUMBERS.size :]
+    (channel,) = _ID.unpack(envelope[-n_id:]) if n_id else (0,)
+    envelope = envelope[_NUMBERS.size : len(envelope) - n_id]
     head, tail = envelope[n_topic : n_topic + n_head], envelope[n_topic + n_head :]
     cloud = Cloud(
         envelope[:n_topic].decode("utf-8", "replace"),
@@ -96,6 +100,7 @@ def decode_cloud(
         bool(flags & _WHOLE),
         delay,
         sequence,
+        channel,
     )
     try:
         layout = cloud.layout

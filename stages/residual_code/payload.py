@@ -93,7 +93,8 @@ def content_crc(sweep: Sweep) -> int:
     if sweep.cloud is not None:
         cloud = sweep.cloud
         crc = zlib.crc32(_CLOUD.pack(cloud.delay, cloud.sequence, cloud.whole), crc)
-        for part in (cloud.topic.encode(), cloud.encoding.encode(), cloud.head, cloud.tail, cloud.loose):
+        parts = [cloud.topic.encode(), cloud.encoding.encode(), cloud.head, cloud.tail, cloud.loose]
+        for part in [*parts, *([cloud.channel.to_bytes(2, "little")] if cloud.channel else ())]:
             crc = zlib.crc32(part, crc)
         crc = zlib.crc32(np.ascontiguousarray(cloud.rest).tobytes(), crc)
     return crc

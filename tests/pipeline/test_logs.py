@@ -360,15 +360,17 @@ def test_verify_finds_what_is_another(
     text: bytes, problem: str, logs: Path, coded: Path, tmp_path: Path
 ) -> None:
     """The log again without what it encloses, and with another text."""
-    other = tmp_path / "bare.mcap"
+    other, told = tmp_path / "bare.mcap", {}
     with (logs / "bare.mcap").open("rb") as source, other.open("wb") as stream:
         mcap = McapWriter(stream)
         mcap.start("ros2", "test")
         for schema, channel, message in make_reader(source).iter_messages():
-            number = mcap.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
-            told = mcap.register_channel(channel.topic, channel.message_encoding, number, channel.metadata)
+            if channel.id not in told:
+                number = mcap.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+                facts = channel.topic, channel.message_encoding, number, channel.metadata
+                told[channel.id] = mcap.register_channel(*facts)
             raw = message.data.replace(b"text 1 1", text)
-            mcap.add_message(told, message.log_time, raw, message.publish_time, message.sequence)
+            mcap.add_message(told[channel.id], message.log_time, raw, message.publish_time, message.sequence)
         mcap.finish()
     assert verify(coded / "archives" / "bare.mcap", other).problems[0] == problem
 

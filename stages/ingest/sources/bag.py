@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import hashlib
 import re
+import warnings
+from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
-import yaml
-
+from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.cloud_layout import LayoutError
-from salpcc.schemas.errors import SourceError
+from salpcc.schemas.errors import LogWarning, SourceError
 from salpcc.schemas.files import is_url, location, reading, why
-from salpcc.schemas.log import Log
+from salpcc.schemas.log import Log, LogChannel
 from salpcc.schemas.marks import mark
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.point_cloud import message_to_scan
+from salpcc.stages.ingest.sources.count import count_messages
 from salpcc.stages.ingest.sources.mcap_log import McapLog
-from salpcc.stages.ingest.sources.ros_log import RosLog
+from salpcc.stages.ingest.sources.ros1_log import Ros1Log
+from salpcc.stages.ingest.sources.rosbag2 import METADATA, is_rosbag2, read_rosbag2
+from salpcc.stages.ingest.sources.sqlite_log import SqliteLog, beside, qos_text
 
 Clouds = dict[str, list[tuple[int, tuple[int, ...]]]]  # by topic, the time of each and its place in the log
+
+
+SUFFIXES = (".mcap", ".bag", ".db3")
 
 
 class Bag:
     """Point clouds (``sensor_msgs/PointCloud2``) of recorded logs, one topic or several."""
 
     name = "bag"
-    hint = "Any log with sensor_msgs/PointCloud2: NAME.mcap, a ROS 1 NAME.bag, or a ROS 2 bag folder"
+    hint = "Any log with sensor_msgs/PointCloud2: NAME.mcap, a ROS 1 NAME.bag, a ROS 2 bag folder or one NAME.db3 of it"
 
     def sequences(self, root: Path) -> list[str]:
         """List the logs in ``root``, or the one that ``root`` is."""
@@ -44,6 +51,13 @@ class Bag:
 
         With one topic a scan is named by its number, with more by its topic, too. ``listed`` is what
         :func:`clouds_of` said of this very log; where it has the same topics, the log is not gone through again.
+        Else it is, and what is read of each topic is compared with :func:`~.count.count_messages`.
+
+        Raises:
+            SourceError: it holds no clouds, or other numbers of messages are read than counted.
+
+        Warns:
+            LogWarning: what of the log stays behind, or is not as its metadata say.
         """
         path = find_log(root, sequence)
         log = open_log(path)
@@ -57,13 +71,21 @@ class Bag:
                 f"{path}: {said} (topics of sensor_msgs/PointCloud2: {', '.join(there) or 'none'})"
             )
         chosen = [topic for topic in there if topic in topics or not topics]
-        wanted = {id_ for id_, topic in clouds.items() if topic in chosen}
         found: Clouds = {topic: [] for topic in chosen}
         if listed and sorted(listed) == chosen:
             found = {topic: [(time, tuple(at)) for time, at in listed[topic]] for topic in chosen}
         else:
-            for message in log.messages(wanted):
-                found[clouds[message.channel]].append((message.log_time, message.at))
+            read: Counter[str] = Counter()
+            for message in log.messages():
+                topic = log.channels[message.channel].topic
+                read[topic] += 1
+                if topic in found and message.channel in clouds:
+                    found[topic].append((message.log_time, message.at))
+            counted = count_log(path)
+            if differing := differences(read, counted):
+                raise SourceError(f"{path}: {differing[0]}; this log is not read right, it is left as it is")
+            for line in caveats(path, log, counted):
+                warnings.warn(f"{path}: {line}", LogWarning, stacklevel=2)
         slugs = _slugs(chosen)
         return [
             ScanRef(f"{slugs[topic]}{n:06d}", n, str(path), time, topic=topic, at=at)
@@ -79,9 +101,56 @@ class Bag:
         message = log.message(ref.topic, ref.time, ref.at)
         channel = log.channels[message.channel]
         try:
-            return message_to_scan(message, channel.encoding, ref.topic, ref.name)
+            scan = message_to_scan(message, channel.encoding, ref.topic, ref.name)
         except LayoutError as error:
             raise SourceError(f"{ref.path}: {ref.topic}, message {ref.number}: {error}") from error
+        if scan.cloud is None or len(channels_of(scan.cloud, log.channels)) == 1:
+            return scan
+        return replace(scan, cloud=replace(scan.cloud, channel=channel.id))
+
+
+def channels_of(cloud: Cloud, channels: dict[int, LogChannel]) -> list[LogChannel]:
+    """Return the channels of a log that a cloud may have come on, by its topic and encoding."""
+    return [
+        channel
+        for channel in channels.values()
+        if channel.topic == cloud.topic and channel.encoding == cloud.encoding and channel.holds_clouds
+    ]
+
+
+def count_log(path: Path) -> Counter[str]:
+    """Count the messages of a log by topic, by other means than :func:`open_log` reads them."""
+    return count_messages(_message_files(path))
+
+
+def differences(read: Counter[str], counted: Counter[str], read_by: str = "read") -> list[str]:
+    """Say of each topic that has other numbers of messages in two counts what they are."""
+    return [
+        f"topic {topic}: {read[topic]} messages {read_by}, {counted[topic]} counted"
+        for topic in sorted(read.keys() | counted.keys())
+        if read[topic] != counted[topic]
+    ]
+
+
+def caveats(path: Path, log: Log, counted: Counter[str]) -> list[str]:
+    """Say what of a log stays behind, and what its metadata say that is not so; all of it has been gone through."""
+    lines = [f"{what} stays behind" for what in log.left_behind()]
+    if not is_rosbag2(path):
+        return lines
+    bag = read_rosbag2(path)
+    lines += bag.differences
+    lines += [
+        f"{METADATA} says {bag.counts[topic]} messages of {topic}, the files hold {counted[topic]}; all of these are kept"
+        for topic in sorted(bag.counts.keys() | counted.keys())
+        if bag.counts[topic] != counted[topic]
+    ]
+    for channel in log.channels.values():
+        own = qos_text(dict(channel.metadata).get("offered_qos_profiles", ""))
+        if bag.qos.get(channel.topic, own) != own:
+            lines.append(
+                f"the QoS that {METADATA} gives {channel.topic} stays behind; the one in the file is kept"
+            )
+    return list(dict.fromkeys(lines))
 
 
 def clouds_of(refs: Iterable[ScanRef]) -> Clouds:
@@ -99,12 +168,12 @@ def open_log(path: Path) -> Log:
     Raises:
         SourceError: unreadable, or no log.
     """
-    if path.suffix == ".mcap":
-        return McapLog([path])
-    files = mcap_files(path)
-    if not files and is_url(path):
+    files = _message_files(path)
+    if any(".mcap" in file.suffixes for file in files):
+        return McapLog(files)
+    if is_url(path):
         raise SourceError(f"{path}: only MCAP is read from a URL; copy this log to a folder")
-    return McapLog(files) if files else RosLog(path)
+    return Ros1Log(path) if path.suffix == ".bag" else SqliteLog(files)
 
 
 @lru_cache(maxsize=2)
@@ -113,24 +182,9 @@ def _opened(path: str, changed: str) -> Log:
     return open_log(location(path))
 
 
-def mcap_files(path: Path) -> list[Path]:
-    """The files of a ROS 2 bag in plain MCAP; none for any other bag."""
-    about = _metadata(path)
-    if about.get("storage_identifier") != "mcap" or str(about.get("compression_mode", "")).lower() not in (
-        "",
-        "none",
-    ):
-        return []
-    # A name leads into the bag's folder and nowhere else.
-    return [path / Path(str(name)).name for name in about.get("relative_file_paths", [])]
-
-
-def _metadata(path: Path) -> dict[str, Any]:
-    try:
-        document = yaml.safe_load((path / "metadata.yaml").read_text())
-        return dict(document["rosbag2_bagfile_information"])
-    except (OSError, yaml.YAMLError, ValueError, KeyError, TypeError, RecursionError):
-        return {}  # whoever reads it as a bag will say what is wrong
+def _message_files(path: Path) -> list[Path]:
+    """The files that hold a log's messages, in order."""
+    return list(read_rosbag2(path).files) if path.suffix not in SUFFIXES or path.is_dir() else [path]
 
 
 def find_log(root: Path, sequence: str) -> Path:
@@ -141,14 +195,14 @@ def find_log(root: Path, sequence: str) -> Path:
     """
     if root.stem == sequence and _is_log(root):
         return root
-    for path in (root / f"{sequence}.mcap", root / f"{sequence}.bag", root / sequence):
+    for path in (*(root / f"{sequence}{suffix}" for suffix in SUFFIXES), root / sequence):
         if _is_log(path):
             return path
     raise SourceError(f"{root / sequence}: not found. {Bag.hint}")
 
 
 def _is_log(path: Path) -> bool:
-    return (path.suffix in (".mcap", ".bag") and path.is_file()) or (path / "metadata.yaml").is_file()
+    return (path.suffix in SUFFIXES and path.is_file()) or is_rosbag2(path)
 
 
 def digest_log(path: Path) -> str:
@@ -173,7 +227,9 @@ def log_mark(path: Path) -> str:
 
 def log_files(path: Path) -> list[Path]:
     """List the files that a log is."""
-    return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    if path.is_dir():
+        return sorted(file for file in path.iterdir() if file.is_file())
+    return [path, *(beside(path) if path.suffix == ".db3" else ())]
 
 
 def _slugs(topics: list[str]) -> dict[str, str]:

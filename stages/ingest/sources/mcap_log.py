@@ -1,25 +1,25 @@
 """MCAP files as logs: every channel, whatever its encoding, with all four facts of a message.
 
 Read here and not by a ROS library, so that publish times, sequence numbers and channels of no ROS type
-come through. Works on files without an index or without chunks, too.
+come through. Works on files without an index or without chunks, too; what rosbag2 compressed comes back plain.
 """
 
 from __future__ import annotations
 
 import os
 import struct
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Schema, Statistics
+from mcap.records import Channel, Header, Message, Schema, Statistics
 
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.files import reading, why
-from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
+from salpcc.schemas.log import Enclosed, LogChannel, LogMessage, known_as
 from salpcc.schemas.marks import mark
 from salpcc.schemas.mcap_chunks import (
     HEAD,
@@ -32,15 +32,22 @@ from salpcc.schemas.mcap_chunks import (
     stream,
     top_records,
 )
+from salpcc.stages.ingest.sources.unpack import PlainFiles, plain_message
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<BQQQI")
 _ENCLOSED = (Opcode.ATTACHMENT, Opcode.METADATA)
 _OF_DATA = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+_KNOWN = frozenset(Opcode)
+_PROFILES = ("", "ros1", "ros2")
 
 
 class McapLog:
-    """One or more MCAP files, one after the other; channels that tell the same are one."""
+    """One or more MCAP files, one after the other; channels of several files that tell the same are one.
+
+    ``at`` of a message: the number of its file, the byte at which its record or its chunk starts, and the byte of the
+    decompressed chunk, -1 where there is none.
+    """
 
     def __init__(self, files: list[Path]) -> None:
         """Read the channels.
@@ -49,7 +56,9 @@ class McapLog:
             SourceError: a file is unreadable, truncated, damaged or no MCAP file.
         """
         self.files = files
+        self._plain = PlainFiles(files)
         self.channels: dict[int, LogChannel] = {}
+        self._foreign: list[Counter[int]] = [Counter() for _ in files]  # records of no kind of MCAP's, by opcode
         self._ids: list[dict[int, int]] = [{} for _ in files]  # of ours, by the file's own
         self._schemas: list[dict[int, Schema]] = [{} for _ in files]
         self._complete = False
@@ -68,7 +77,7 @@ class McapLog:
     def _read_summary(self, number: int) -> bool:
         """Read the channels from the end of a file, if it tells all of them there."""
         try:
-            with reading(self.files[number]) as file:
+            with reading(self._plain.paths[number]) as file:
                 end = file.seek(0, os.SEEK_END) - _FOOTER.size - len(_MAGIC)
                 file.seek(max(end, 0))
                 opcode, length, start, *_ = _FOOTER.unpack(file.read(_FOOTER.size))
@@ -91,7 +100,7 @@ class McapLog:
     def message(self, topic: str, time: int, at: tuple[int, ...]) -> LogMessage:
         """Read the message at a place that :meth:`messages` told."""
         number, start, within = at
-        path = self.files[number]
+        path = self._plain.paths[number]
         try:
             with reading(path) as file:
                 file.seek(start - HEAD.size)
@@ -104,9 +113,9 @@ class McapLog:
                     content = data[within + HEAD.size : within + HEAD.size + inner]
             return self._message(number, content, at)
         except OSError as error:
-            raise SourceError(f"{path}: {why(error)}") from error
+            raise SourceError(f"{self.files[number]}: {why(error)}") from error
         except PARSE_ERRORS as error:
-            raise SourceError(f"{path}: {topic} at {time}: damaged ({error})") from error
+            raise SourceError(f"{self.files[number]}: {topic} at {time}: damaged ({error})") from error
 
     def enclosed(self) -> Iterator[Enclosed]:
         """Yield attachments and metadata in the order of the files."""
@@ -114,6 +123,23 @@ class McapLog:
             for opcode, _, content in self._top(number, _ENCLOSED):
                 with self._failing(number):
                     yield read_enclosed(opcode, content)
+
+    def left_behind(self) -> list[str]:
+        """Name records of no kind of MCAP's, schemas that no channel uses, and the profile where it is nobody's."""
+        foreign = sum(self._foreign, Counter[int]())
+        found = [f"{n} records of the private kind {kind:#x}" for kind, n in sorted(foreign.items())]
+        used = {(c.type, c.schema_encoding, c.schema) for c in self.channels.values()}
+        for schemas in self._schemas:
+            spare = [s for s in schemas.values() if (s.name, s.encoding, bytes(s.data)) not in used]
+            found += [f"the schema {schema.name}, which no channel uses" for schema in spare]
+        for number, path in enumerate(self._plain.paths):
+            with self._failing(number), reading(path) as file:
+                opcode, at, length = next(top_records(file, path.stat().st_size, len(_MAGIC)))
+                file.seek(at)
+                head = Header.read(stream(file.read(min(length, MAX_RECORD)))) if opcode == Opcode.HEADER else None
+                if head and head.profile not in _PROFILES:
+                    found.append(f"the profile {head.profile}")
+        return list(dict.fromkeys(found))
 
     def _walk(self, number: int, wanted: set[int]) -> Iterator[LogMessage]:
         """Go through a file and yield its messages of the channels wanted."""
@@ -127,13 +153,15 @@ class McapLog:
 
     def _top(self, number: int, wanted: tuple[Opcode, ...]) -> Iterator[tuple[int, int, bytes]]:
         """Yield opcode, place and content of the records of some kinds that stand outside of chunks."""
-        path = self.files[number]
+        path = self._plain.paths[number]
         with self._failing(number), reading(path) as file:
             if file.read(len(_MAGIC)) != _MAGIC:
                 raise ValueError("not an MCAP file")
             ended = False
+            foreign: Counter[int] = Counter()
             for opcode, at, length in top_records(file, path.stat().st_size, len(_MAGIC)):
                 ended = ended or opcode == Opcode.DATA_END
+                foreign[opcode] += opcode not in _KNOWN
                 if ended or opcode not in wanted:
                     continue
                 if length > MAX_RECORD:
@@ -142,6 +170,7 @@ class McapLog:
                     )
                 file.seek(at)
                 yield opcode, at, file.read(length)
+            self._foreign[number] = +foreign
             if not ended:
                 raise ValueError("ends early: no end of its data; `mcap recover` mends it")
 
@@ -178,21 +207,25 @@ class McapLog:
             channel.topic, channel.message_encoding, schema.name, schema.encoding, bytes(schema.data),
             tuple(sorted(channel.metadata.items())),
         )  # fmt: skip
-        new = LogChannel(len(self.channels) + 1, *facts)
-        if self._complete and channel.id not in self._ids[number]:
+        ids = self._ids[number]
+        if channel.id in ids:
+            known = self.channels[ids[channel.id]]
+            if known != LogChannel(known.id, *facts):
+                raise ValueError(f"it tells of the channel {channel.id} ({known.topic}) in two ways")
+            return
+        if self._complete:
             raise ValueError(
                 f"its summary does not tell of the channel {channel.topic}; `mcap recover` mends it"
             )
-        same = next((known for known in self.channels.values() if replace(new, id=known.id) == known), new)
-        self.channels[same.id] = same
-        self._ids[number][channel.id] = same.id
+        ids[channel.id] = known_as(LogChannel(0, *facts), self.channels, ids.values()).id
 
     def _message(self, number: int, content: bytes, at: tuple[int, ...]) -> LogMessage:
         message = Message.read(stream(content), len(content))
+        channel = self.channels[self._ids[number][message.channel_id]]
+        data = plain_message(bytes(message.data), channel.encoding)
         return LogMessage(
-            self._ids[number][message.channel_id], message.log_time, message.publish_time, message.sequence,
-            bytes(message.data), at,
-        )  # fmt: skip
+            channel.id, message.log_time, message.publish_time, message.sequence, data, at
+        )
 
 
 @lru_cache(maxsize=2)
