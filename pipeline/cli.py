@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import errno
 import sys
+import warnings
+from typing import Any
 
 import typer
 
 from salpcc.pipeline import cli_archive, cli_data, cli_log, cli_map, cli_run, cli_train
 from salpcc.pipeline.progress import STDERR
 from salpcc.pipeline.store import TOOL
-from salpcc.schemas.errors import SalpccError, UsageError
+from salpcc.schemas.errors import LogWarning, SalpccError, UsageError
 from salpcc.schemas.files import unreachable, why
 
 _INTERRUPTED = 130  # typer's exit code for Ctrl-C
@@ -63,7 +65,18 @@ def _root(
 def main() -> None:
     """Run the command line (entry point of ``salpcc-pipeline``)."""
     try:
-        app()
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", LogWarning)
+            shown = warnings.showwarning
+
+            def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+                if issubclass(category, LogWarning):
+                    STDERR.print(f"note: {message}", soft_wrap=True, markup=False)
+                else:
+                    shown(message, category, *where, **more)
+
+            warnings.showwarning = show  # type: ignore[assignment]
+            app()
     except UsageError as error:
         _fail(str(error), 2)
     except SalpccError as error:

@@ -32,6 +32,7 @@ from salpcc.pipeline.cli_run import (
 )
 from salpcc.pipeline.run import RunRequest
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location
 from salpcc.schemas.work import STAGES
 from salpcc.stages.evaluate.baselines import names as baseline_names
@@ -52,7 +53,7 @@ def log(
         typer.Argument(
             parser=location,
             metavar="LOG",
-            help="NAME.mcap, a ROS 1 .bag, a ROS 2 bag folder; MCAP at a URL, too",
+            help="NAME.mcap, a ROS 1 .bag, a ROS 2 bag folder or .db3; MCAP at a URL, too",
         ),
     ],
     topic: Annotated[
@@ -85,7 +86,7 @@ def log(
         raise UsageError(f"{file}: not found. {Bag.hint}")
     names = Bag().sequences(file)
     if not names:
-        raise UsageError(f"{file}: no log that is read here. {Bag.hint}")
+        raise UsageError(f"{file}: {kind_of(file)}, no log that is read here. {Bag.hint}")
     config = config_of(
         source=Bag.name,
         max_error=max_error,
@@ -99,8 +100,11 @@ def log(
         baselines=baseline_names(baselines),
         device=device,
     )
-    if len(names) > 1 or (file.is_dir() and not (file / "metadata.yaml").is_file()):
-        raise UsageError(f"{file}: a folder of logs; name one of {', '.join(names)}")
+    if len(names) > 1:
+        raise UsageError(
+            f"{file}: a folder of logs, and no bag without metadata.yaml; name one of {', '.join(names)}, "
+            f"or let `ros2 bag reindex` make one bag of them"
+        )
     request = RunRequest(
         config=config,
         sequences=names,

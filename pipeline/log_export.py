@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import yaml
 from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from salpcc.pipeline.archive import Archive
@@ -26,6 +28,7 @@ from salpcc.stages.ingest.point_cloud import scan_to_message
 from salpcc.stages.ingest.sources.bag import channels_of
 from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes
 
+_LATEST = 2**63 - 1  # nanoseconds; metadata.yaml has no later time
 _POINTS = LogChannel(
     1, "/points", "cdr", PLAIN, "ros2msg", SCHEMA_TEXT[PLAIN].encode(), (("offered_qos_profiles", ""),)
 )
@@ -36,24 +39,25 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_
 
     Scans that were no messages become ``sensor_msgs/msg/PointCloud2`` of x, y, z, intensity, bits unchanged. Of an
     MCAP file come back the messages, with times and numbers, the channels and schemas, attachments and metadata; not
-    the ids of channels, the order of messages of the same time, chunks and their compression, indexes, the library
-    in the header, schemas that no channel uses. Of ROS 1, ``header.seq`` goes: ROS 2's headers have none.
+    the ids of channels, the order of messages of the same time, compression (of messages, too), chunks, indexes, the
+    library in the header, schemas that no channel uses. Of ROS 1, ``header.seq`` goes: ROS 2's headers have none;
+    messages of a type that is not known, or that are none of their type, stay ROS 1's, on a channel that says so.
     """
     if any(channel.encoding == "ros1" for channel in archive.log.values()):
         tell("ROS 2 has no header.seq: the numbers in ROS 1 headers stay behind; --to bag keeps them")
     path = out / archive.sequence / f"{archive.sequence}.mcap"
     counts: Counter[tuple[str, str, str]] = Counter()
-    first, last = 2**63, 0
+    first, last = _LATEST, 0
     with atomic(path) as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="salpcc-pipeline")
         ids: dict[LogChannel, int] = {}
+        raw: dict[LogChannel, int] = {}  # of channels some of whose messages are none of their type
         translated = {channel: ros2_channel(channel) for channel in channels(archive)}
         for channel, (told, _) in translated.items():
-            schema = writer.register_schema(told.type, told.schema_encoding, told.schema) if told.type else 0
-            ids[channel] = writer.register_channel(told.topic, told.encoding, schema, dict(told.metadata))
+            ids[channel] = _register(writer, told)
             if told.encoding == "cdr":
-                counts[told.topic, told.type, dict(told.metadata).get("offered_qos_profiles", "")] += 0
+                counts[_of_bag(told)] += 0
         for found in archive.enclosed():
             if isinstance(found, LogMetadata):
                 writer.add_metadata(found.name, dict(found.facts))
@@ -63,18 +67,36 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_
         for channel, message in messages(archive, scans):
             told, translate = translated[channel]
             data = translate(message.data)
-            writer.add_message(ids[channel], message.log_time, data, message.publish_time, message.sequence)
+            id_ = ids[channel]
+            if data is None:
+                data, told = message.data, channel
+                id_ = raw[channel] = raw.get(channel) or _register(writer, channel)
+            writer.add_message(id_, message.log_time, data, message.publish_time, message.sequence)
             first, last = min(first, message.log_time), max(last, message.log_time)
             if told.encoding == "cdr":
-                counts[told.topic, told.type, dict(told.metadata).get("offered_qos_profiles", "")] += 1
+                counts[_of_bag(told)] += 1
         writer.finish()
     with atomic(path.with_name("metadata.yaml")) as stream:
-        stream.write(_metadata(path.name, counts, min(first, last), last).encode())
+        stream.write(_metadata(path.name, counts, min(first, last), min(last, _LATEST)).encode())
     yield path
+
+
+def _register(writer: Writer, channel: LogChannel) -> int:
+    schema = (
+        writer.register_schema(channel.type, channel.schema_encoding, channel.schema) if channel.type else 0
+    )
+    return int(writer.register_channel(channel.topic, channel.encoding, schema, dict(channel.metadata)))
+
+
+def _of_bag(channel: LogChannel) -> tuple[str, str, str]:
+    """What metadata.yaml tells of a channel; it has one entry for several that are the same in this."""
+    return channel.topic, channel.type, dict(channel.metadata).get("offered_qos_profiles", "")
 
 
 def to_bag(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_silence) -> Iterator[Path]:
     """Write ``out/SEQ.bag``, a ROS 1 bag of the very messages that the archive was made from.
+
+    Connections that tell the very same become one.
 
     Raises:
         UsageError: the log was no ROS 1 bag.
@@ -84,9 +106,10 @@ def to_bag(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
     path = out / f"{archive.sequence}.bag"
     with atomic_file(path) as part, Rosbag1Writer(part) as writer:
         connections = {}
+        same: dict[LogChannel, Connection] = {}  # by what they tell; the writer takes nothing twice
         for channel in channels(archive):
-            facts = dict(channel.metadata)
-            connections[channel] = writer.add_connection(
+            facts, told = dict(channel.metadata), replace(channel, id=0)
+            connections[channel] = same[told] = same.get(told) or writer.add_connection(
                 channel.topic,
                 channel.type.replace("/", "/msg/"),
                 msgdef=channel.schema.decode(),

@@ -9,7 +9,6 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from salpcc.schemas.errors import SourceError
 from salpcc.schemas.log import LogChannel
 
 _HEADER = "std_msgs/msg/Header"
@@ -20,20 +19,23 @@ _LATCHED = Qos(
     QosLiveliness.AUTOMATIC, _EVER, False,
 )  # fmt: skip
 
-Translate = Callable[[bytes], bytes]
+_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"  # the md5sum of a type without fields and constants
+
+Translate = Callable[[bytes], bytes | None]  # None: the bytes are no message of that type
 
 
 def ros2_channel(channel: LogChannel) -> tuple[LogChannel, Translate]:
     """Return a channel as ROS 2 has it, and what its messages become.
 
-    Channels of other encodings stay as they are; so do those of ROS 1 whose definition cannot be understood.
+    Channels of other encodings stay as they are; so do those of ROS 1 whose definition is missing or cannot be
+    understood. Where it is missing and the type is one of ROS's own, its definition is known.
     """
     if channel.encoding != "ros1":
         return channel, bytes
     kind = channel.type.replace("/", "/msg/")
     store = get_typestore(Stores.EMPTY)
     try:
-        types = get_types_from_msg(channel.schema.decode(), kind)
+        types = get_types_from_msg(_definition(channel, kind), kind)
         if _HEADER in types:
             types[_HEADER] = get_typestore(Stores.ROS2_HUMBLE).fielddefs[_HEADER]
         needed = {
@@ -48,13 +50,28 @@ def ros2_channel(channel: LogChannel) -> tuple[LogChannel, Translate]:
     latched = dict(channel.metadata).get("latching") == "1"
     metadata = (("offered_qos_profiles", dump_qos_v8([_LATCHED]) if latched else ""),)
 
-    def translate(data: bytes) -> bytes:
+    def translate(data: bytes) -> bytes | None:
         try:
             return bytes(store.ros1_to_cdr(data, kind))
-        except Exception as error:
-            raise SourceError(f"{channel.topic}: a message is no {channel.type} ({error})") from error
+        except Exception:  # noqa: BLE001 (bytes of anybody's)
+            return None
 
     told = replace(
         channel, type=kind, encoding="cdr", schema_encoding="ros2msg", schema=text.encode(), metadata=metadata
     )
     return told, translate
+
+
+def _definition(channel: LogChannel, kind: str) -> str:
+    """The definition of a channel's type. One without a field is that of an empty type only where its md5sum says so.
+
+    Raises:
+        Exception: it is missing and not known.
+    """
+    text, md5sum = channel.schema.decode(), dict(channel.metadata).get("md5sum", "*")
+    if md5sum == _NOTHING or any(line.partition("#")[0].strip() for line in text.splitlines()):
+        return text
+    known, known_sum = get_typestore(Stores.ROS1_NOETIC).generate_msgdef(kind)
+    if md5sum not in ("*", known_sum):
+        raise ValueError(f"not the {kind} that is known")
+    return str(known)

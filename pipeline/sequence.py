@@ -49,7 +49,9 @@ def archive_path(out: Path, sequence: str) -> Path:
 def inputs_digest(plan: SequencePlan, results: list[GopResult], config: RunConfig) -> str:
     """Digest what an archive is made of; ``results`` are those of :func:`source_digest`, or of later stages, by GOP."""
     source = plan.gops[0].source
-    return digest_of(plan.sequence, source, config.digest, [result.origin for result in results])
+    # Of a log, the frames decide what passes through, too, also where they are all there are.
+    frames = [config.frames] if config.frames and plan.gops[0].scans[0].topic else []
+    return digest_of(plan.sequence, source, config.digest, [result.origin for result in results], *frames)
 
 
 def finished(
@@ -101,14 +103,20 @@ def finish(
         record["times"] += [[gop.number, *row] for row in facts["times"]]
         record["peak_mb"] = max(record["peak_mb"], facts["peak_mb"])
     write_record(record, out, plan.sequence)
+    log = passing_log(plan, {error["scan"] for error in record["errors"]}, config)
+    # Whoever compares the archive of a log with it must know what was left out.
+    of_log = {"frames": list(config.frames)} if log and config.frames else {}
     facts_ = ArchiveFacts(
-        plan.sequence, plan.gops[0].source, record["inputs"], config.coding, load_sensor(config.sensor)
+        plan.sequence,
+        plan.gops[0].source,
+        record["inputs"],
+        config.coding | of_log,
+        load_sensor(config.sensor),
     )
     payloads = (
         _payloads(store, result, _dropped_ref(store, gop, record["inputs"]))
         for gop, result in zip(plan.gops, results, strict=True)
     )
-    log = passing_log(plan, {error["scan"] for error in record["errors"]}, config)
     write_archive(archive_path(out, plan.sequence), facts_, payloads, log)
     return record
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_scans
-from salpcc.pipeline.logs import compare_passing
+from salpcc.pipeline.logs import compare_log
 from salpcc.pipeline.plan import missing_root
 from salpcc.schemas.config import GRID_ACCURACY
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
@@ -69,7 +70,7 @@ def verify(path: Path, against: Path | None = None) -> Verdict:
         reader.check()
     except ArchiveError as error:
         verdict.problems.append(str(error))
-    seen: set[str] = set()
+    coded: Counter[str] = Counter()  # messages of a log, by topic
     for gop, entries in enumerate(reader.gops):
         try:
             for entry, scan in zip(entries, decode_scans(reader, gop), strict=True):
@@ -80,15 +81,13 @@ def verify(path: Path, against: Path | None = None) -> Verdict:
                         f"scan {entry.name}: {len(scan)} points, the index says {entry.kept}"
                     )
                 if refs is not None:
-                    key = _key(scan.cloud.topic if scan.cloud else "", scan.name)
-                    seen.add(key)
-                    _compare(scan, refs.get(key), facts.source, facts.config, verdict)
+                    topic = scan.cloud.topic if scan.cloud else ""
+                    coded[topic] += 1
+                    _compare(scan, refs.get(_key(topic, scan.name)), facts.source, facts.config, verdict)
         except (ArchiveError, ValueError) as error:
             verdict.problems.append(str(error))
-    if against is not None and reader.log and refs is not None:
-        topics = {key.split()[0] for key in seen}
-        all_coded = seen == {key for key in refs if key.split()[0] in topics}
-        passed, problems = compare_passing(reader, against, verdict.scans if all_coded else None)
+    if against is not None and reader.log:
+        passed, problems = compare_log(reader, against, coded, whole=not facts.config.get("frames"))
         verdict.passed_messages = passed
         verdict.problems += problems
     return verdict

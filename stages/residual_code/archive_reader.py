@@ -25,6 +25,7 @@ from mcap.records import (
 )
 
 from salpcc.schemas.errors import ArchiveError, SalpccError
+from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location, read_at, reading, why
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records, stream
@@ -164,10 +165,19 @@ class ArchiveReader:
         if self._bytes(self._data_end, 13) != struct.pack("<BQI", Opcode.DATA_END, 4, crc):
             raise ArchiveError(f"{self.path}: CRC of the data section does not match, the file is damaged")
 
+    @property
+    def _no_archive(self) -> str:
+        return (
+            f"{self.path}: an MCAP file, but not an archive of salpcc-pipeline; "
+            "`salpcc-pipeline run log` makes one of a log"
+        )
+
     def _read_index(self) -> None:
         head, tail = self._bytes(0, len(MAGIC)), self._bytes(self.size - len(MAGIC), len(MAGIC))
         if head != MAGIC:
-            raise ArchiveError(f"{self.path}: not an MCAP file")
+            raise ArchiveError(
+                f"{self.path}: {kind_of(self.path)}, not an archive of salpcc-pipeline (those are OUT/archives/SEQ.mcap)"
+            )
         if tail != MAGIC:
             raise ArchiveError(f"{self.path}: truncated, the end of the file is missing")
         footer_at = self.size - len(MAGIC) - _FOOTER_BYTES
@@ -175,6 +185,8 @@ class ArchiveReader:
         summary = self._bytes(footer.summary_start, footer_at - footer.summary_start)
         covered = self._bytes(footer_at, _FOOTER_BYTES - 4)
         if zlib.crc32(covered, zlib.crc32(summary)) != footer.summary_crc:
+            if footer.summary_crc == 0:  # ours have one
+                raise ArchiveError(self._no_archive)
             raise ArchiveError(f"{self.path}: CRC of the summary does not match, the file is damaged")
         chunks: list[ChunkIndex] = []
         attachments: dict[str, AttachmentIndex] = {}
@@ -203,7 +215,7 @@ class ArchiveReader:
                     passing = passing_channel(channel, schemas.get(channel.schema_id))
                     self.log[passing.id] = passing
         if "salpcc" not in metadata:
-            raise ArchiveError(f"{self.path}: an MCAP file, but not an archive of salpcc-pipeline")
+            raise ArchiveError(self._no_archive)
         of_log = (at for at in enclosed if at.name.startswith(ENCLOSED))
         self._enclosed = sorted(of_log, key=lambda at: at.offset)
         self._data_end = footer.summary_start - 9 - 4

@@ -16,6 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location, mapped, why
 from salpcc.stages.ingest.sensor_model import SENSORS, SensorModel, load_sensor
 from salpcc.stages.residual_code import grid_payload, payload
@@ -33,6 +34,8 @@ from salpcc.stages.residual_code.archive_writer import message_of
 from salpcc.stages.residual_code.passing import PassingLog
 from salpcc.stages.residual_code.passing_salvage import passing_log
 
+# At least one of them is in whatever part of an archive holds a scan.
+_TRACES = (b"gop.json", b"index.json", b"sensor.json", b"salpcc/")
 _LEAST_GOP = 100  # bytes; so many GOPs at most lie before a byte, whatever a record claims
 
 
@@ -59,6 +62,12 @@ class Salvage:
             self._data = mapped(self.path)
         except (OSError, ValueError) as error:
             raise ArchiveError(f"{self.path}: {why(error)}") from error
+        kind = kind_of(self.path)
+        if kind == "a text file" or all(self._data.find(name) < 0 for name in _TRACES):
+            raise ArchiveError(
+                f"{self.path}: {kind}, and nothing in it is of an archive of salpcc-pipeline "
+                "(`mcap recover` mends a log, `salpcc-pipeline run log` archives it)"
+            )
         self.facts = self._facts(sensor)
         self._index = self._read_index()
         self._rows = {entry.name: entry for gop in self._index or [] for entry in gop}

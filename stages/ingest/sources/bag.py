@@ -14,9 +14,11 @@ from pathlib import Path
 from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.cloud_layout import LayoutError
 from salpcc.schemas.errors import LogWarning, SourceError
+from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import is_url, location, reading, why
-from salpcc.schemas.log import Log, LogChannel
+from salpcc.schemas.log import Log, LogChannel, LogMetadata
 from salpcc.schemas.marks import mark
+from salpcc.schemas.messages import COMPRESSED
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.point_cloud import message_to_scan
@@ -29,6 +31,7 @@ from salpcc.stages.ingest.sources.sqlite_log import SqliteLog, beside, qos_text
 Clouds = dict[str, list[tuple[int, tuple[int, ...]]]]  # by topic, the time of each and its place in the log
 
 
+_SHOWN = 8  # topics in a message
 SUFFIXES = (".mcap", ".bag", ".db3")
 
 
@@ -65,11 +68,8 @@ class Bag:
         clouds = {channel.id: channel.topic for channel in log.channels.values() if channel.holds_clouds}
         there = sorted(set(clouds.values()))
         missing = [topic for topic in topics if topic not in there]
-        if missing or not there:
-            said = f"topic {missing[0]} holds no point clouds" if missing else "no point clouds"
-            raise SourceError(
-                f"{path}: {said} (topics of sensor_msgs/PointCloud2: {', '.join(there) or 'none'})"
-            )
+        if missing or not there or any(channel.type == COMPRESSED for channel in log.channels.values()):
+            _check_clouds(path, log, there, missing)
         chosen = [topic for topic in there if topic in topics or not topics]
         found: Clouds = {topic: [] for topic in chosen}
         if listed and sorted(listed) == chosen:
@@ -86,6 +86,8 @@ class Bag:
                 raise SourceError(f"{path}: {differing[0]}; this log is not read right, it is left as it is")
             for line in caveats(path, log, counted):
                 warnings.warn(f"{path}: {line}", LogWarning, stacklevel=2)
+        if not any(found.values()):
+            raise SourceError(f"{path}: no messages on {', '.join(chosen)}, so there is nothing to code")
         slugs = _slugs(chosen)
         return [
             ScanRef(f"{slugs[topic]}{n:06d}", n, str(path), time, topic=topic, at=at)
@@ -107,6 +109,27 @@ class Bag:
         if scan.cloud is None or len(channels_of(scan.cloud, log.channels)) == 1:
             return scan
         return replace(scan, cloud=replace(scan.cloud, channel=channel.id))
+
+
+def _check_clouds(path: Path, log: Log, there: list[str], missing: list[str]) -> None:
+    """Say why a log has nothing to code, or not what was asked for, and what to do about it."""
+    of_ours = (isinstance(found, LogMetadata) and found.name == "salpcc" for found in log.enclosed())
+    if any(channel.type == COMPRESSED for channel in log.channels.values()) and any(of_ours):
+        raise SourceError(
+            f"{path}: an archive of salpcc-pipeline, coded already; `salpcc-pipeline decode` gives the log back"
+        )
+    if missing:
+        raise SourceError(
+            f"{path}: topic {missing[0]} holds no point clouds (topics of sensor_msgs/PointCloud2: {', '.join(there) or 'none'})"
+        )
+    if not there:
+        topics = sorted(
+            {f"{channel.topic} ({channel.type or channel.encoding})" for channel in log.channels.values()}
+        )
+        raise SourceError(
+            f"{path}: no point clouds, and only sensor_msgs/PointCloud2 is coded (raw packets: record what the sensor's "
+            f"driver makes of them); its topics: {', '.join(topics[:_SHOWN]) or 'none'}{' …' * (len(topics) > _SHOWN)}"
+        )
 
 
 def channels_of(cloud: Cloud, channels: dict[int, LogChannel]) -> list[LogChannel]:
@@ -198,6 +221,8 @@ def find_log(root: Path, sequence: str) -> Path:
     for path in (*(root / f"{sequence}{suffix}" for suffix in SUFFIXES), root / sequence):
         if _is_log(path):
             return path
+    if root.is_file():
+        raise SourceError(f"{root}: {kind_of(root)}, no log that is read here. {Bag.hint}")
     raise SourceError(f"{root / sequence}: not found. {Bag.hint}")
 
 

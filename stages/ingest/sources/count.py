@@ -47,7 +47,9 @@ def count_messages(files: list[Path]) -> Counts:
         except OSError as error:
             raise SourceError(f"{file}: {why(error)}") from error
         except Exception as error:  # what the packages make of a damaged file
-            raise SourceError(f"{file}: its messages cannot be counted ({error or type(error).__name__})") from error
+            raise SourceError(
+                f"{file}: its messages cannot be counted ({error or type(error).__name__})"
+            ) from error
     return total
 
 

@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Message, Schema, Statistics
 
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import reading, why
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage, known_as
 from salpcc.schemas.marks import mark
@@ -58,7 +59,9 @@ class McapLog:
         self.files = files
         self._plain = PlainFiles(files)
         self.channels: dict[int, LogChannel] = {}
-        self._foreign: list[Counter[int]] = [Counter() for _ in files]  # records of no kind of MCAP's, by opcode
+        self._foreign: list[Counter[int]] = [
+            Counter() for _ in files
+        ]  # records of no kind of MCAP's, by opcode
         self._ids: list[dict[int, int]] = [{} for _ in files]  # of ours, by the file's own
         self._schemas: list[dict[int, Schema]] = [{} for _ in files]
         self._complete = False
@@ -136,7 +139,11 @@ class McapLog:
             with self._failing(number), reading(path) as file:
                 opcode, at, length = next(top_records(file, path.stat().st_size, len(_MAGIC)))
                 file.seek(at)
-                head = Header.read(stream(file.read(min(length, MAX_RECORD)))) if opcode == Opcode.HEADER else None
+                head = (
+                    Header.read(stream(file.read(min(length, MAX_RECORD))))
+                    if opcode == Opcode.HEADER
+                    else None
+                )
                 if head and head.profile not in _PROFILES:
                     found.append(f"the profile {head.profile}")
         return list(dict.fromkeys(found))
@@ -156,7 +163,7 @@ class McapLog:
         path = self._plain.paths[number]
         with self._failing(number), reading(path) as file:
             if file.read(len(_MAGIC)) != _MAGIC:
-                raise ValueError("not an MCAP file")
+                raise ValueError(f"{kind_of(path)}, not an MCAP file")
             ended = False
             foreign: Counter[int] = Counter()
             for opcode, at, length in top_records(file, path.stat().st_size, len(_MAGIC)):
@@ -223,9 +230,7 @@ class McapLog:
         message = Message.read(stream(content), len(content))
         channel = self.channels[self._ids[number][message.channel_id]]
         data = plain_message(bytes(message.data), channel.encoding)
-        return LogMessage(
-            channel.id, message.log_time, message.publish_time, message.sequence, data, at
-        )
+        return LogMessage(channel.id, message.log_time, message.publish_time, message.sequence, data, at)
 
 
 @lru_cache(maxsize=2)

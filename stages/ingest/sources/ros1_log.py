@@ -19,6 +19,7 @@ from rosbags.rosbag1 import Reader
 from rosbags.rosbag1.reader import Header, RecordType, read_bytes, read_uint32
 
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import MAX_RECORD
 
@@ -79,7 +80,9 @@ class Ros1Log:
                 topic, facts = Header.read(bio).get_string("topic"), Header.read(bio)
                 more = [f"{name} in a header of {topic}" for name in sorted(facts.keys() - _KEPT)]
                 names = {topic, facts["topic"].decode() if "topic" in facts else topic} - {connection.topic}
-                found += more + [f"the name {name}, which becomes {connection.topic}" for name in sorted(names)]
+                found += more + [
+                    f"the name {name}, which becomes {connection.topic}" for name in sorted(names)
+                ]
         return list(dict.fromkeys(found))
 
     def _message(self, time: int, at: tuple[int, ...]) -> LogMessage:
@@ -87,7 +90,9 @@ class Ros1Log:
         record = BytesIO(self._chunk(chunk))
         record.seek(offset)
         header = Header.read(record)
-        while header.get_uint8("op") == RecordType.CONNECTION:  # some writers let the index point before these
+        while (
+            header.get_uint8("op") == RecordType.CONNECTION
+        ):  # some writers let the index point before these
             read_bytes(record, read_uint32(record))
             header = Header.read(record)
         if header.get_uint8("op") != RecordType.MSGDATA or header.get_time("time") != time:
@@ -113,9 +118,13 @@ class Ros1Log:
         except (GeneratorExit, SourceError):
             raise
         except Exception as error:  # the reader meets hostile bytes with whatever comes to hand
-            raise SourceError(
-                f"{self.path}: cannot be read as a ROS bag ({error or type(error).__name__})"
-            ) from error
+            kind = kind_of(self.path)
+            said = (
+                f"{kind}, not a ROS 1 bag"
+                if kind != "a ROS 1 bag"
+                else f"cannot be read as a ROS bag ({error or type(error).__name__})"
+            )
+            raise SourceError(f"{self.path}: {said}") from error
 
 
 def _channel(number: int, connection: Connection) -> LogChannel:

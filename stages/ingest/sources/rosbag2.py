@@ -60,7 +60,9 @@ def read_rosbag2(path: Path) -> Rosbag2:
         storage = str(about["storage_identifier"])
         # A name leads into the bag's folder and nowhere else.
         listed = [Path(str(name)).name for name in about["relative_file_paths"]]
-        topics = [(t["topic_metadata"], int(t["message_count"])) for t in about["topics_with_message_count"] or ()]
+        topics = [
+            (t["topic_metadata"], int(t["message_count"])) for t in about["topics_with_message_count"] or ()
+        ]
         counts: Counter[str] = Counter()
         for topic, count in topics:
             counts[str(topic["name"])] += count
@@ -75,7 +77,9 @@ def read_rosbag2(path: Path) -> Rosbag2:
     if storage not in _SUFFIXES:
         raise SourceError(f"{where}: storage {storage} is not read; mcap and sqlite3 are")
     if compression != "zstd":
-        raise SourceError(f"{where}: compression {compression} is not read; `ros2 bag convert` writes another")
+        raise SourceError(
+            f"{where}: compression {compression} is not read; `ros2 bag convert` writes another"
+        )
     files, differences = _find(path, _SUFFIXES[storage], listed)
     if about.get("custom_data"):
         differences.append(f"custom_data in {METADATA} stays behind")
@@ -94,7 +98,9 @@ def _find(path: Path, suffix: str, listed: list[str]) -> tuple[list[Path], list[
         names = [name, _plain(name), *(_plain(name) + end for end in _COMPRESSED)]
         found = next((there[other] for other in names if other in there), None)
         if found is None:
-            raise SourceError(f"{path / METADATA}: lists {name}, which is not in the folder; put it back or `ros2 bag reindex`")
+            raise SourceError(
+                f"{path / METADATA}: lists {name}, which is not in the folder; put it back or `ros2 bag reindex`"
+            )
         files.setdefault(_plain(name), found)
     differences = []
     known = {_plain(name) for name in listed}

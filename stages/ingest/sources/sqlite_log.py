@@ -22,6 +22,7 @@ from rosbags.rosbag2.metadata import dump_qos_v8, parse_qos
 from rosbags.typesys import Stores, get_typestore
 
 from salpcc.schemas.errors import SourceError
+from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import why
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage, known_as
 from salpcc.schemas.mcap_chunks import MAX_RECORD
@@ -103,7 +104,9 @@ class SqliteLog:
         qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         told = {}
         if "message_definitions" in _tables(file):
-            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
+            query = (
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
+            )
             told = {kind: (encoding, text) for kind, encoding, text in reversed(list(file.execute(query)))}
         rows = file.execute(f"SELECT id, name, type, serialization_format, {qos} FROM topics ORDER BY id")
         for id_, topic, kind, encoding, profiles in rows:
@@ -121,7 +124,9 @@ class SqliteLog:
 
     def _rows(self, number: int, channels: set[int] | None) -> Iterator[LogMessage]:
         with self._failing(number):
-            wanted = [id_ for id_, known in self._ids[number].items() if channels is None or known in channels]
+            wanted = [
+                id_ for id_, known in self._ids[number].items() if channels is None or known in channels
+            ]
             which = "" if channels is None else f"WHERE topic_id IN ({','.join(map(str, wanted))}) "
             for row in self._open[number].execute(f"{_ROWS}{which}ORDER BY timestamp, rowid"):
                 yield self._message(number, *row)
@@ -144,7 +149,13 @@ class SqliteLog:
         except (GeneratorExit, SourceError):
             raise
         except Exception as error:  # hostile bytes make of SQLite, YAML and UTF-8 what they like
-            raise SourceError(f"{self.files[number]}: cannot be read as a ROS 2 bag ({error})") from error
+            kind = kind_of(self._plain.paths[number])
+            said = (
+                f"{kind}, not an SQLite file"
+                if kind != "an SQLite file"
+                else f"cannot be read as a ROS 2 bag ({error})"
+            )
+            raise SourceError(f"{self.files[number]}: {said}") from error
 
 
 _ROWS = "SELECT rowid, topic_id, timestamp, data FROM messages "
@@ -162,7 +173,7 @@ def _tables(file: sqlite3.Connection) -> set[str]:
 def qos_text(profiles: Any) -> str:
     """Return QoS profiles in the words that every distribution reads; as they are where nobody reads them."""
     try:
-        return str(dump_qos_v8(parseqos_text(profiles)))
+        return str(dump_qos_v8(parse_qos(profiles)))
     except Exception:  # noqa: BLE001 (anybody's text)
         return str(profiles)
 
