@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import typer
@@ -65,17 +67,7 @@ def _root(
 def main() -> None:
     """Run the command line (entry point of ``salpcc-pipeline``)."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always", LogWarning)
-            shown = warnings.showwarning
-
-            def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-                if issubclass(category, LogWarning):
-                    STDERR.print(f"note: {message}", soft_wrap=True, markup=False)
-                else:
-                    shown(message, category, *where, **more)
-
-            warnings.showwarning = show  # type: ignore[assignment]
+        with _notes():
             app()
     except UsageError as error:
         _fail(str(error), 2)
@@ -93,6 +85,23 @@ def main() -> None:
         if end.code == _INTERRUPTED:
             _fail("interrupted; the same command goes on where it stopped", _INTERRUPTED)
         raise
+
+
+@contextmanager
+def _notes() -> Iterator[None]:
+    """Print what is to be said of a log as a line each."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", LogWarning)
+        shown = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, LogWarning):
+                STDERR.print(f"note: {message}", soft_wrap=True, markup=False)
+            else:
+                shown(message, category, *where, **more)
+
+        warnings.showwarning = show
+        yield
 
 
 def _fail(line: str, code: int) -> None:

@@ -64,9 +64,9 @@ def plan_run(
     if not plans and config.source == "bag":
         raise UsageError(missing[0].reason)
     if not plans:
-        there = ", ".join(source.sequences(root)) or "none"
+        known = ", ".join(source.sequences(root)) or "none"
         raise UsageError(
-            f"{missing[0].reason} (sequences there: {there}; to try without data: --source simulated)"
+            f"{missing[0].reason} (sequences there: {known}; to try without data: --source simulated)"
         )
     return plans, missing
 

@@ -46,6 +46,8 @@ def ros2_channel(channel: LogChannel) -> tuple[LogChannel, Translate]:
         store.register({**needed, **types})
         text, _ = store.generate_msgdef(kind, ros_version=2)
     except Exception:  # noqa: BLE001 (a definition of anybody's; Foxglove reads the channel as it is)
+        if _is_empty(channel):  # MCAP has another word for that, which readers of ROS 2 know
+            return replace(channel, schema_encoding="", schema=b""), bytes
         return channel, bytes
     latched = dict(channel.metadata).get("latching") == "1"
     metadata = (("offered_qos_profiles", dump_qos_v8([_LATCHED]) if latched else ""),)
@@ -68,10 +70,15 @@ def _definition(channel: LogChannel, kind: str) -> str:
     Raises:
         Exception: it is missing and not known.
     """
-    text, md5sum = channel.schema.decode(), dict(channel.metadata).get("md5sum", "*")
-    if md5sum == _NOTHING or any(line.partition("#")[0].strip() for line in text.splitlines()):
-        return text
+    md5sum = dict(channel.metadata).get("md5sum", "*")
+    if md5sum == _NOTHING or not _is_empty(channel):
+        return channel.schema.decode()
     known, known_sum = get_typestore(Stores.ROS1_NOETIC).generate_msgdef(kind)
     if md5sum not in ("*", known_sum):
         raise ValueError(f"not the {kind} that is known")
     return str(known)
+
+
+def _is_empty(channel: LogChannel) -> bool:
+    """Tell whether a definition has no fields; comments are none."""
+    return not any(line.partition(b"#")[0].strip() for line in channel.schema.splitlines())

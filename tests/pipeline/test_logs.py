@@ -22,6 +22,7 @@ from salpcc.pipeline import Archive, digests
 from salpcc.pipeline.calibrate import calibrate_log
 from salpcc.pipeline.cli import app
 from salpcc.pipeline.export import EXPORTS
+from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
@@ -169,7 +170,8 @@ def read(path: Path) -> Recorded:
 
 def run_logs(root: Path, out: Path, names: list[str], **options: object) -> RunResult:
     config = RunConfig(source="bag", keep_movable=True, effort="fast", gop=2, **options)
-    return run_sequences(RunRequest(config, names, out, root, workers=0, quiet=True))
+    graph = GraphOptions(overwrite=True)
+    return run_sequences(RunRequest(config, names, out, root, workers=0, graph=graph, quiet=True))
 
 
 @pytest.fixture(scope="module")

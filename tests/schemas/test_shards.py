@@ -18,7 +18,7 @@ WEIRD = np.array([0x7FC00001, 0xFF800000, 0x80000000, 1], np.uint32).view(
 def a_sweep(name: str, returns: int = 3, strays: int = 1) -> Sweep:
     rng = np.random.default_rng(returns)
     return Sweep(
-        name=name, time=-5, frame_id="os1/lidar", n_points=returns + strays + 2,
+        name=name, time=2**64 - 5, frame_id="os1/lidar", n_points=returns + strays + 2,
         motion=rng.normal(size=6), step=1, max_error=0.0,
         laser=rng.integers(0, 64, returns).astype(np.uint8),
         tick=rng.integers(0, 4000, returns).astype(np.int32),
