@@ -53,11 +53,14 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_
         writer.start(profile="ros2", library="salpcc-pipeline")
         ids: dict[LogChannel, int] = {}
         raw: dict[LogChannel, int] = {}  # of channels some of whose messages are none of their type
+        odd: Counter[LogChannel] = Counter()
         translated = {channel: ros2_channel(channel) for channel in channels(archive)}
         for channel, (told, _) in translated.items():
             ids[channel] = _register(writer, told)
             if told.encoding == "cdr":
                 counts[_of_bag(told)] += 0
+            elif told.encoding == "ros1":
+                tell(f"{told.topic}: no definition of {told.type} can be read; its messages stay ROS 1's")
         for found in archive.enclosed():
             if isinstance(found, LogMetadata):
                 writer.add_metadata(found.name, dict(found.facts))
@@ -71,11 +74,14 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_
             if data is None:
                 data, told = message.data, channel
                 id_ = raw[channel] = raw.get(channel) or _register(writer, channel)
+                odd[channel] += 1
             writer.add_message(id_, message.log_time, data, message.publish_time, message.sequence)
             first, last = min(first, message.log_time), max(last, message.log_time)
             if told.encoding == "cdr":
                 counts[_of_bag(told)] += 1
         writer.finish()
+    for channel, count in odd.items():
+        tell(f"{channel.topic}: {count} messages are no {channel.type}; they stay as they are, ROS 1's")
     with atomic(path.with_name("metadata.yaml")) as stream:
         stream.write(_metadata(path.name, counts, min(first, last), min(last, _LATEST)).encode())
     yield path

@@ -521,12 +521,23 @@ def test_a_type_without_definition_does_not_end_the_export(definition: str, tmp_
     assert {(topic, encoding) for topic, encoding, _ in found} == {
         ("/points", "cdr"), ("/texts", "cdr"), ("/packets", "ros1"), ("/tick", "cdr"), ("/old", "ros1"),
     }  # fmt: skip
+    assert _said(tmp_path, "empty") == [
+        "/packets: no definition of rslidar_msgs/rslidarPacket can be read; its messages stay ROS 1's",
+        "/old: no definition of std_msgs/Header can be read; its messages stay ROS 1's",
+    ]
     assert {("/packets", "ros1", b"\1\2\3"), ("/old", "ros1", b"\7" * 9)} <= found
     with Rosbag2Reader(back.parent) as reader:
         assert len(list(reader.messages([c for c in reader.connections if c.topic == "/points"]))) == 2
     archive = Archive.open(tmp_path / "out" / "archives" / "empty.mcap")
     (bag,) = EXPORTS["bag"](archive, iter(archive), tmp_path / "bag")
     assert read_ros1(bag) == read_ros1(path)
+
+
+def _said(folder: Path, name: str) -> list[str]:
+    """What decoding to MCAP tells, but for header.seq."""
+    archive, said = Archive.open(folder / "out" / "archives" / f"{name}.mcap"), []
+    list(EXPORTS["mcap"](archive, iter(archive), folder / "said", said.append))
+    return [line for line in said if "header.seq" not in line]
 
 
 def test_bytes_that_are_no_message_of_their_type_stay_as_they_are(tmp_path: Path) -> None:
@@ -542,6 +553,9 @@ def test_bytes_that_are_no_message_of_their_type_stay_as_they_are(tmp_path: Path
         found = [(c.topic, c.message_encoding, m.data) for _, c, m in make_reader(stream).iter_messages()]
     assert len(found) == 3 and ("/texts", "ros1", b"\xff\0\0\0hi") in found
     assert [encoding for topic, encoding, _ in found if topic == "/texts"] == ["cdr", "ros1"]
+    assert _said(tmp_path, "odd") == [
+        "/texts: 1 messages are no std_msgs/String; they stay as they are, ROS 1's"
+    ]
 
 
 # Times
