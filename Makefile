@@ -41,6 +41,7 @@ soak: $(VENV)/.tools
 # An ordinary install, not an editable one: what is tested is what users get.
 $(VENV)/.product: requirements.lock $(SOURCES)
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 2; }
+	@rm -rf build/lib #  modules that are gone from the sources would be installed from there
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install -q -c requirements.lock .
 	@touch $@
