@@ -10,9 +10,8 @@ from typing import Any
 
 from salpcc.schemas.errors import UsageError
 
-_PACKAGES = (
-    "libgl1 libegl1 libx11-6 libudev1 libidn2-0"  # Debian's and Ubuntu's names of what it is linked to
-)
+# Debian's and Ubuntu's names of what it is linked to.
+_PACKAGES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0"
 
 
 def load_open3d() -> Any:

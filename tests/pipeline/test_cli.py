@@ -54,6 +54,17 @@ def test_run_decode_verify_give_the_files_back(done: Path, toy_root: Path, tmp_p
     assert (verdict["good"], verdict["bit_exact_scans"], verdict["max_error_m"]) == (True, 3, 0.0)
 
 
+def test_decode_tells_the_unit_of_intensity(done: Path, tmp_path: Path) -> None:
+    archive = done / "archives" / "01.mcap"
+    result = cli("decode", archive, "--to", "laz", "--crs", "EPSG:25832", "--out", tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "float32 as recorded times 65535" in result.stderr and "3 files" in result.stdout
+    for options, said in ((["--to", "laz", "--crs", "EPSG:1"], "not known to PROJ"),
+                          (["--to", "ply", "--crs", "EPSG:25832"], "no place for it")):  # fmt: skip
+        result = cli("decode", archive, *options, "--out", tmp_path)
+        assert result.returncode == 2 and said in error_of(result)
+
+
 def test_decode_takes_frame_numbers(done: Path, tmp_path: Path) -> None:
     archive = done / "archives" / "01.mcap"  # frames 0, 1, 7
     assert cli("decode", archive, "--to", "kitti", "--out", tmp_path, "--frames", "1:8").returncode == 0

@@ -102,6 +102,9 @@ def test_an_archive_has_one_unit(tmp_path: Path) -> None:
         [cloud_of(rows_of(i), number=n) for n, i in enumerate([dark, light, dark])], tmp_path
     )
     assert [int(las.intensity.max()) for las in files] == [1, 255, 1] and len(told) == 1
+    archive = Archive.open(tmp_path / "a.mcap")
+    (path,) = to_laz(archive, iter([archive[0]]), tmp_path / "one")  # whichever scans are asked for
+    assert laspy.read(path).intensity.max() == 1
 
 
 def test_topics_have_units_of_their_own(tmp_path: Path) -> None:

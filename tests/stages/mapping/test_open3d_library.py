@@ -16,7 +16,7 @@ from salpcc.stages.mapping.open3d_library import load_open3d
     [
         (
             ImportError("libGL.so.1: cannot open shared object file: No such file or directory"),
-            r"the system lacks libGL\.so\.1; Debian, Ubuntu: apt-get install libgl1",
+            r"the system lacks libGL\.so\.1; Debian, Ubuntu: apt-get install libusb-1.0-0 libgl1",
         ),
         (OSError("libX11.so.6: cannot open shared object file: no"), r"the system lacks libX11\.so\.6;"),
         (ImportError("built for another Python\nand more"), r"start, built for another Python; Debian"),

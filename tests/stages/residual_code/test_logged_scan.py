@@ -142,6 +142,30 @@ def test_every_byte_of_every_layout_comes_back(shape: Shape, seed: int) -> None:
 
 
 @FAST
+@given(shapes(), st.integers(0, 99))
+def test_every_field_is_a_column_of_its_type(shape: Shape, seed: int) -> None:
+    """Read by rosbags and NumPy: the first field of a name has it, no two columns share one, none is invented."""
+    raw = message(shape, seed)
+    read = STORES[shape.encoding]
+    cloud = (read.deserialize_ros1 if shape.encoding == "ros1" else read.deserialize_cdr)(raw, TYPE)
+    rows = cloud.data.reshape(shape.height, -1)[:, : shape.width * shape.point_step].reshape(
+        -1, shape.point_step
+    )
+    columns = scan_columns(scan_of(raw, shape.encoding))
+    elements = 0
+    for name, offset, datatype, count in shape.fields:
+        kind = np.dtype(KINDS[datatype - 1]).newbyteorder(">" if shape.big_endian else "<")
+        fits = offset + kind.itemsize <= shape.point_step  # a count of 0 may stand at the end
+        elements += count if count else int(fits)
+        if fits:
+            column = columns[name or "unnamed"]
+            assert column.dtype == kind.newbyteorder("=")
+            bytes_ = np.ascontiguousarray(rows[:, offset : offset + kind.itemsize])
+            assert column.astype(kind).tobytes() == bytes_.tobytes()
+    assert len(columns) == elements
+
+
+@FAST
 @given(shapes(), st.integers(0, 99), st.sampled_from([0.001, 0.02]))
 def test_points_are_within_the_bound_and_other_fields_exact(shape: Shape, seed: int, bound: float) -> None:
     scan = scan_of(message(shape, seed), shape.encoding)
