@@ -57,6 +57,9 @@ _SCALES = _powers(_EXP_MINUS_2, _EXP_32ND, (_LOG_SCALE_HIGH - _LOG_SCALE_LOW) * 
 SCALES = np.column_stack([_SCALES, 1.0 / _SCALES])
 WEIGHTS = np.append(_powers(1.0, 1.0 / _EXP_32ND, _CUT * _PER_UNIT), 0.0)
 LOGISTIC = _logistic_table()
+_GUESSES = np.interp(
+    (np.arange(256) + 0.5) / 256, LOGISTIC[:, 0], np.arange(len(LOGISTIC)) / _Z_STEPS - _Z_LIMIT
+)
 _LAST_WEIGHT, _LAST_SCALE = np.int32(len(WEIGHTS) - 1), np.int32(len(SCALES) - 1)
 _ZERO = np.int32(0)
 
@@ -68,8 +71,8 @@ def output_places(predictors: int) -> tuple[int, ...]:
 
 
 @inline
-def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, work: I32) -> None:
-    """Turn a network's answer and the predictions into a mixture.
+def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, work: I32) -> int:
+    """Turn a network's answer and the predictions into a mixture; return a heaviest component.
 
     Args:
         sums: PLACES logits, offsets in units of the scale, log scales, all in units of ``2 ** -shift``.
@@ -84,7 +87,9 @@ def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, w
     store(work, 16, larger(smaller((load(sums, 32, 16) + low) >> fine, _LAST_SCALE), _ZERO))
     unit = 1.0 / (1 << shift)
     total = 0.0
+    best = 0
     for c in range(components):
+        best = c if work[c] == 0 else best
         weight = WEIGHTS[np.uint64(work[c])]
         mixture[_WEIGHTS + c] = weight
         total += weight
@@ -94,6 +99,7 @@ def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, w
         mixture[_INVERSES + c] = SCALES[scale, 1]
     for c in range(0, 16, 8):
         store(mixture, _WEIGHTS + c, load(mixture, _WEIGHTS + c, 8) / total)
+    return best
 
 
 @inline
@@ -130,18 +136,18 @@ def level_ends(
 
 @inline
 def find_level(
-    mixture: F64, components: int, target: int, step: int, levels: int, places: I32, parts: F64
+    mixture: F64, components: int, best: int, target: int, step: int, levels: int, places: I32, parts: F64
 ) -> tuple[int, int, int]:
     """Return the level whose interval holds ``target``, and the interval's two ends.
 
-    Newton steps from the heaviest component, then bisection.
+    The search starts where component ``best`` would have it, takes Newton steps, and bisects after a few; levels only
+    ever start later than those before them, so the way does not matter.
     """
-    best = 0
-    for c in range(1, components):
-        if mixture[_WEIGHTS + c] > mixture[_WEIGHTS + best]:
-            best = c
     first, last = 0, levels - 1
-    guess = (mixture[_MEANS + best] + 0.5) / step
+    scaled = 1.0 / (mixture[_INVERSES + best] * step)
+    guess = (mixture[_MEANS + best] + 0.5) / step + _GUESSES[
+        np.uint64(target) >> np.uint64(BITS - 8)
+    ] * scaled
     tries = 0
     while True:
         tries += 1

@@ -114,10 +114,10 @@ def _ring(  # type: ignore[no-untyped-def]
             for j in range(0, width, 16):
                 store(sums, j, load(layers.tables, k * width + j, 16))
             forward(x, k, layers, h, sums)
-            set_mixture(sums, shift, mu, components, mixture, whole)
+            best = set_mixture(sums, shift, mu, components, mixture, whole)
             if mode == DECODE:
                 target = decode_target(state, BITS)
-                value, low, high = find_level(mixture, components, target, step, levels, whole, parts)
+                value, low, high = find_level(mixture, components, best, target, step, levels, whole, parts)
                 decode_interval(state, data, low, high - low, BITS)
                 level[lo + i] = value
             else:
