@@ -17,16 +17,11 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.shards import sweeps_to_table
-from salpcc.stages.ground_fit import stage as ground_fit
+from salpcc.stages.coding import code
 from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
-from salpcc.stages.ingest.stage import Projector
-from salpcc.stages.predict import stage as predict
-from salpcc.stages.residual_code import stage as residual_code
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive_writer import write_archive
 from salpcc.stages.residual_code.gop import decode_any, scan_of
-from salpcc.stages.segment import stage as segment
 from salpcc.stages.segment.weights_file import weights_digest, weights_path
 
 
@@ -107,14 +102,9 @@ def _gops(scans: Iterator[Scan], config: RunConfig) -> Iterator[list[ScanPayload
     sensor = load_sensor(config.sensor)
     place = 0
     while group := list(islice(scans, config.gop)):
-        project = Projector(sensor)
-        sweeps = []
-        for scan in group:
-            sweeps.append(project(int(scan.name) if scan.name.isdecimal() else place, scan))
-            place += 1
-        task = segment.run(sweeps_to_table(sweeps), config)
-        planes = ground_fit.run(task, config)
-        payloads = payloads_of(residual_code.run(task, planes, predict.run(task, planes, config), config))
+        numbers = [int(scan.name) if scan.name.isdecimal() else place + at for at, scan in enumerate(group)]
+        place += len(group)
+        payloads = payloads_of(code(zip(numbers, group, strict=True), config)["residual_code"])
         _decode_again(group, payloads, config, sensor)
         yield payloads
 

@@ -20,13 +20,14 @@ from salpcc.pipeline.logs import passing_log
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.records import write_record
 from salpcc.pipeline.store import ShardStore
-from salpcc.pipeline.tasks import VERSIONS, GopResult, lost
+from salpcc.pipeline.tasks import GopResult, lost
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import unreachable
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import list_array
 from salpcc.schemas.work import GopSource, Known, ScanRef, ShardRef, digest_of
+from salpcc.stages.coding import STAGES
 from salpcc.stages.evaluate import stage as evaluate
 from salpcc.stages.evaluate.baseline_figures import OURS
 from salpcc.stages.evaluate.baselines import BASELINES, measure
@@ -152,7 +153,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
         reader = ArchiveReader(archive_path(out, gop.sequence))
         payloads = reader.payloads(gop.number)
         content = [[vars(payload.entry), zlib.crc32(payload.data)] for payload in payloads]
-        digest = digest_of(inputs, "evaluate", VERSIONS["evaluate"], gop.number, content)
+        digest = digest_of(inputs, "evaluate", evaluate.VERSION, gop.number, content)
         ref = store.ref(gop.sequence, "evaluate", gop.number, digest)
         result = GopResult(inputs, digest, (("evaluate", ref),))
         if store.has(ref) and not redo:
@@ -177,7 +178,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
             raise
         return lost("evaluate", result, gop, error)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    store.write(ref, table, {"stage": "evaluate", "stage_version": VERSIONS["evaluate"], "peak_mb": peak})
+    store.write(ref, table, {"stage": "evaluate", "stage_version": evaluate.VERSION, "peak_mb": peak})
     return result
 
 
@@ -218,7 +219,9 @@ def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
     """
     store = ShardStore(out)
     scans = [[ref.name, digest_scan(ref, with_labels=False)[0][0]] for ref in gop.scans]
-    more: list[Any] = [VERSIONS] if name == OURS else []  # our own codec changes
+    more: list[Any] = (
+        [{stage.name: stage.version for stage in STAGES.values()}] if name == OURS else []
+    )  # our own codec changes
     if missing := BASELINES[name].missing():
         more.append(missing)
     digest = digest_of("baseline", name, measure.VERSION, scans, *more)
@@ -226,9 +229,7 @@ def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
     result = GopResult(digest, digest, (("baseline", ref),))
     if not store.has(ref) or redo:
         table = measure_scans(name, _readable(gop), gop.sequence)
-        store.write(
-            ref, table, {"stage": "evaluate", "stage_version": VERSIONS["evaluate"], "baseline": name}
-        )
+        store.write(ref, table, {"stage": "evaluate", "stage_version": evaluate.VERSION, "baseline": name})
     return result
 
 

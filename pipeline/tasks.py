@@ -19,38 +19,10 @@ from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.files import unreachable
-from salpcc.schemas.shards import OF_STAGE, facts_of
-from salpcc.schemas.work import STAGES, GopSource, Known, ScanError, ShardRef, digest_of
-from salpcc.stages.evaluate import stage as evaluate
-from salpcc.stages.ground_fit import stage as ground_fit
-from salpcc.stages.ingest import stage as ingest
-from salpcc.stages.predict import stage as predict
-from salpcc.stages.residual_code import stage as residual_code
-from salpcc.stages.segment import stage as segment
+from salpcc.schemas.shards import facts_of
+from salpcc.schemas.work import GopSource, Known, ScanError, ShardRef, digest_of
+from salpcc.stages.coding import STAGES
 
-VERSIONS: dict[str, int] = {
-    "ingest": ingest.VERSION,
-    "segment": segment.VERSION,
-    "ground_fit": ground_fit.VERSION,
-    "predict": predict.VERSION,
-    "residual_code": residual_code.VERSION,
-    "evaluate": evaluate.VERSION,
-}
-# What each stage takes besides the configuration; ingest takes the GOP itself.
-INPUTS: dict[str, tuple[str, ...]] = {
-    "ingest": (),
-    "segment": ("ingest",),
-    "ground_fit": ("segment",),
-    "predict": ("segment", "ground_fit"),
-    "residual_code": ("segment", "ground_fit", "predict"),
-}
-RUN: dict[str, Callable[..., pa.Table]] = {
-    "ingest": ingest.run,
-    "segment": segment.run,
-    "ground_fit": ground_fit.run,
-    "predict": predict.run,
-    "residual_code": residual_code.run,
-}
 _warm: set[str] = set()
 
 
@@ -72,7 +44,7 @@ class GopResult:
 
 def source_digest(gop: GopSource, config: RunConfig) -> GopResult:
     """Digest all that decides what becomes of a GOP: the bytes of its files, the configuration, the code."""
-    parts: list[Any] = [config.digest, {stage: VERSIONS[stage] for stage in STAGES[:-1]}]
+    parts: list[Any] = [config.digest, {stage.name: stage.version for stage in STAGES.values()}]
     learned: Known = {}
     for ref in gop.scans:
         if ref.topic:
@@ -97,7 +69,7 @@ def run_stage(
     if before.failed:
         return before
     store = ShardStore(out)
-    digest = digest_of(before.digest, stage, VERSIONS[stage])
+    digest = digest_of(before.digest, stage, STAGES[stage].version)
     ref = store.ref(gop.sequence, stage, gop.number, digest)
     facts = None
     if store.has(ref) and not redo:
@@ -106,14 +78,16 @@ def run_stage(
     if facts is None or any(error["stage"] != "ingest" for error in facts["errors"]):
         try:
             table, facts = _work(
-                stage, [store.read(dict(before.shards)[name]) for name in INPUTS[stage]], gop, config
+                stage, [store.read(dict(before.shards)[name]) for name in STAGES[stage].inputs], gop, config
             )
         except Exception as error:
             if isinstance(error, (OSError, ShardError)) or unreachable(error):
                 raise
             return lost(stage, before, gop, error)
         store.write(
-            ref, table, {"stage": stage, "stage_version": VERSIONS[stage], "config": config.digest, **facts}
+            ref,
+            table,
+            {"stage": stage, "stage_version": STAGES[stage].version, "config": config.digest, **facts},
         )
     errors = tuple(ScanError(**error) for error in facts["errors"])
     return replace(before, digest=digest, shards=(*before.shards, (stage, ref)), errors=errors)
@@ -127,7 +101,7 @@ def _work(
     errors = list(facts["errors"])
     if stage == "ingest":
         table, times = _timed(
-            stage, lambda few: ingest.run(replace(gop, scans=gop.scans[: 2 if few else None]), config)
+            stage, lambda few: STAGES[stage].run(replace(gop, scans=gop.scans[: 2 if few else None]), config)
         )
         errors += facts_of(table.schema)["errors"]
         scans = table.num_rows
@@ -140,12 +114,12 @@ def _work(
 
         def run(few: bool) -> pa.Table:
             if few:
-                return RUN[stage](*only(tables, set(tables[0].column("name").to_pylist()[:2])), config)
-            result, found = run_isolated(lambda some: RUN[stage](*some, config), tables)
+                return STAGES[stage].run(*only(tables, set(tables[0].column("name").to_pylist()[:2])), config)
+            result, found = run_isolated(lambda some: STAGES[stage].run(*some, config), tables)
             guilty.update(found)
             return result
 
-        table, times = _timed(stage, run) if scans else (OF_STAGE[stage].empty_table(), (0.0, 0.0))
+        table, times = _timed(stage, run) if scans else (STAGES[stage].schema.empty_table(), (0.0, 0.0))
         errors += [vars(_error(stage, gop, name, error)) for name, error in guilty.items()]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return table, {

@@ -7,7 +7,7 @@ readers refuse a newer major version and ignore keys they do not know.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -100,13 +100,6 @@ PAYLOAD = pa.schema(
 )
 
 # The schema that each stage's table has; evaluate owns its own (one row per scan, any columns).
-OF_STAGE: Mapping[str, pa.Schema] = {
-    "ingest": SWEEP,
-    "segment": TASK,
-    "ground_fit": PLANES,
-    "predict": PREDICTION,
-    "residual_code": PAYLOAD,
-}
 
 
 def sweeps_to_table(

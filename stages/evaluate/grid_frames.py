@@ -17,16 +17,11 @@ from salpcc.schemas.grid_shards import (
     table_to_planes,
 )
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.shards import sweeps_to_table
-from salpcc.stages.ground_fit import stage as ground_fit
+from salpcc.stages.coding import code
 from salpcc.stages.ground_fit.grid_planes import ground_of
-from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
-from salpcc.stages.ingest.stage import Projector
-from salpcc.stages.predict import stage as predict
 from salpcc.stages.residual_code.grid_coder import images_of
 from salpcc.stages.residual_code.image_coder import Images
-from salpcc.stages.segment import stage as segment
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +55,11 @@ def read_gops(root: Path, sequence: str, size: int = 8) -> Iterator[list[tuple[i
 def paper_frames(scans: Sequence[tuple[int, Scan]], accuracy: float) -> list[Frame]:
     """Take a GOP of labelled scans through the stages of the paper profile up to prediction; movables are dropped."""
     config = RunConfig.model_validate({"profile": "paper", "max_error": accuracy, "labels": "given"})
-    project = Projector(load_sensor(config.sensor))
-    task = segment.run(sweeps_to_table([project(number, scan) for number, scan in scans]), config)
-    planes = ground_fit.run(task, config)
-    predictions = table_to_grid_predictions(predict.run(task, planes, config))
+    made = code(scans, config, last="predict")
+    predictions = table_to_grid_predictions(made["predict"])
     return [
         Frame(sweep, fitted, predicted, ground_of(sweep))
         for sweep, fitted, predicted in zip(
-            table_to_grids(task), table_to_planes(planes), predictions, strict=True
+            table_to_grids(made["segment"]), table_to_planes(made["ground_fit"]), predictions, strict=True
         )
     ]

@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -48,7 +49,9 @@ def test_another_run_is_refused_before_it_begins(
 ) -> None:
     before = archives(out)
     with monkeypatch.context() as patch, pytest.raises(UsageError, match=rf"00\.mcap is there.*{said}"):
-        patch.setattr(tasks, "RUN", {})  # any stage that ran would break
+        patch.setattr(
+            tasks, "STAGES", {n: replace(s, run=None) for n, s in tasks.STAGES.items()}
+        )  # any stage that ran would break
         run(toy_root, out, "00", "01", **options)
     assert archives(out) == before
     assert not run(toy_root, out, "00", graph=OVERWRITE, **options).failed
@@ -73,7 +76,7 @@ def test_a_run_that_fails_leaves_the_archive(
 ) -> None:
     """Wholly or in part: what is there holds more."""
     before = archives(out)
-    real, names = tasks.RUN["predict"], {f"{n:06d}" for n in lost}
+    real, names = tasks.STAGES["predict"].run, {f"{n:06d}" for n in lost}
 
     def breaks(task, *others):  # type: ignore[no-untyped-def]
         if names & set(task.column("name").to_pylist()):
@@ -81,7 +84,7 @@ def test_a_run_that_fails_leaves_the_archive(
         return real(task, *others)
 
     with monkeypatch.context() as patch:
-        patch.setitem(tasks.RUN, "predict", breaks)
+        patch.setitem(tasks.STAGES, "predict", replace(tasks.STAGES["predict"], run=breaks))
         for options in ({}, {"effort": "fast"}):
             again = GraphOptions(overwrite=True, forced=True)
             result = run(toy_root, out, "00", graph=again, **options)
@@ -98,7 +101,7 @@ def test_a_run_in_which_all_fails_writes_no_archive(
     def breaks(*_):  # type: ignore[no-untyped-def]
         raise ZeroDivisionError("no such device")
 
-    monkeypatch.setitem(tasks.RUN, "segment", breaks)
+    monkeypatch.setitem(tasks.STAGES, "segment", replace(tasks.STAGES["segment"], run=breaks))
     result = run(toy_root, tmp_path, "00", "01")
     assert len(result.errors) == 8 and not (tmp_path / "archives").exists()
 
@@ -128,8 +131,8 @@ def test_an_output_grows(
     assert set(report["baselines"]) == {"xz", "zstd"}
     assert set(report["sequences"]["00"]["baselines"]) == {"zstd"}
     with monkeypatch.context() as patch:
-        patch.setattr(tasks, "RUN", {})
-        patch.setattr(sequence, "evaluate", None)
+        patch.setattr(tasks, "STAGES", {n: replace(s, run=None) for n, s in tasks.STAGES.items()})
+        patch.setattr(sequence.evaluate, "run", None)
         assert run(toy_root, out, "00").report["total"]["frames"] == 8  # type: ignore[index]
     (out / "archives" / "00.mcap").unlink()
     assert set(run(toy_root, out, "01").report["sequences"]) == {"01"}  # type: ignore[index]

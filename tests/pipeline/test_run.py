@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -57,8 +58,10 @@ def test_second_run_does_nothing_again(
     out = tmp_path / "out"
     shutil.copytree(done, out)
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*.mcap")}
-    monkeypatch.setattr(tasks, "RUN", {})  # any stage that ran would break
-    monkeypatch.setattr(sequence, "evaluate", None)
+    monkeypatch.setattr(
+        tasks, "STAGES", {n: replace(s, run=None) for n, s in tasks.STAGES.items()}
+    )  # any stage that ran would break
+    monkeypatch.setattr(sequence.evaluate, "run", None)
     result = run(toy_root, out, "00", "01")
     assert not result.failed and result.report is not None
     assert result.report["sequences"]["00"]["bit_exact_scans"] == 5
@@ -145,7 +148,7 @@ def test_mended_scans_are_done_when_they_are_there(
 
 def broken(stage: str, scans: set[str]) -> Callable[..., object]:
     """A stage that breaks whenever one of ``scans`` is among its rows."""
-    real = tasks.RUN[stage]
+    real = tasks.STAGES[stage].run
 
     def breaks(task, *others):  # type: ignore[no-untyped-def]
         if scans & set(task.column("name").to_pylist()):
@@ -161,7 +164,7 @@ def test_a_scan_that_breaks_a_stage_costs_itself_and_is_tried_again(
 ) -> None:
     graph = GraphOptions(keep_shards=True)
     with monkeypatch.context() as patch:
-        patch.setitem(tasks.RUN, stage, broken(stage, {"000002"}))
+        patch.setitem(tasks.STAGES, stage, replace(tasks.STAGES[stage], run=broken(stage, {"000002"})))
         result = run(toy_root, tmp_path, "00", graph=graph)
     assert [(e.scan, e.stage) for e in result.errors] == [("000002", stage)]
     assert "odd plane" in result.errors[0].reason
@@ -175,7 +178,11 @@ def test_a_gop_that_breaks_a_stage_leaves_the_other_gops(
     done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setitem(tasks.RUN, "predict", broken("predict", {"000002", "000003"}))
+        patch.setitem(
+            tasks.STAGES,
+            "predict",
+            replace(tasks.STAGES["predict"], run=broken("predict", {"000002", "000003"})),
+        )
         result = run(toy_root, tmp_path, "00")
     assert [(e.scan, e.stage) for e in result.errors] == [("000002", "predict"), ("000003", "predict")]
     names = [[e.name for e in gop] for gop in ArchiveReader(tmp_path / "archives" / "00.mcap").gops]
@@ -188,7 +195,11 @@ def test_an_archive_written_anew_is_measured_anew(
     done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setitem(tasks.RUN, "predict", broken("predict", {f"{n:06d}" for n in range(5)}))
+        patch.setitem(
+            tasks.STAGES,
+            "predict",
+            replace(tasks.STAGES["predict"], run=broken("predict", {f"{n:06d}" for n in range(5)})),
+        )
         result = run(toy_root, tmp_path, "00")
     assert result.report is not None and not result.report["sequences"]
     result = run(toy_root, tmp_path, "00")
@@ -208,7 +219,9 @@ def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(
     with pytest.raises(SalpccError, match="No space left"):
         run(toy_root, tmp_path, "00")
     monkeypatch.setattr(sequence, "write_archive", real)
-    monkeypatch.setattr(tasks, "RUN", {})  # the shards are there
+    monkeypatch.setattr(
+        tasks, "STAGES", {n: replace(s, run=None) for n, s in tasks.STAGES.items()}
+    )  # the shards are there
     assert not run(toy_root, tmp_path, "00").failed
     assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from salpcc.schemas.config import Effort, RunConfig
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.shards import sweeps_to_table
 from salpcc.stages.evaluate.baselines.contract import Baseline, Points, Promise
 
 
@@ -32,23 +31,13 @@ def encode_group(scans: Sequence[Scan], max_error: float, effort: Effort = "defa
 
     An error of 0 is bit-exact; above, no point is farther than that from its source.
     """
-    from salpcc.stages.ground_fit import stage as ground_fit
-    from salpcc.stages.ingest.sensor_model import load_sensor
-    from salpcc.stages.ingest.stage import Projector
-    from salpcc.stages.predict import stage as predict
-    from salpcc.stages.residual_code import stage as residual_code
-    from salpcc.stages.segment import stage as segment
+    from salpcc.stages.coding import code
 
     config = RunConfig.model_validate(
         {"max_error": max_error or None, "keep_movable": True, "effort": effort}
     )
-    project = Projector(load_sensor(config.sensor))
-    sweeps = [
-        project(number, Scan(scan.name, scan.points, scan.intensity)) for number, scan in enumerate(scans)
-    ]
-    task = segment.run(sweeps_to_table(sweeps), config)
-    planes = ground_fit.run(task, config)
-    table = residual_code.run(task, planes, predict.run(task, planes, config), config)
+    bare = [(number, Scan(scan.name, scan.points, scan.intensity)) for number, scan in enumerate(scans)]
+    table = code(bare, config)["residual_code"]
     return [Coded(r["data"], r["geometry"], r["intensity"], r["side"]) for r in table.to_pylist()]
 
 
