@@ -78,7 +78,7 @@ def _scans(root: Path, sequence: str, config: RunConfig, out: Path | None) -> li
     record = recorded(out, sequence) if out else {}
     log = find_log(root, sequence)
     same = log_mark(log) == record.get("files", {}).get(log.name, ("",))[0]
-    return Bag().scans(root, sequence, config.topics, record.get("clouds") if same else None)
+    return Bag().scans(root, sequence, config.topics, record.get("places") if same else None)
 
 
 def missing_root(root: Path, source: str) -> str:

@@ -91,7 +91,7 @@ def finish(
     record: dict[str, Any] = {
         "inputs": inputs_digest(plan, results, config),
         "files": known_files(plan, results),
-        "clouds": {} if config.frames else clouds_of(ref for gop in plan.gops for ref in gop.scans),
+        "places": {} if config.frames else clouds_of(ref for gop in plan.gops for ref in gop.scans),
         "errors": [],
         "times": [],
         "peak_mb": 0.0,

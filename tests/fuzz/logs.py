@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
+import zstandard
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mutate import mutate_mcap
@@ -14,6 +16,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from target import Target
 
+from salpcc.schemas.errors import LogWarning
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, XYZI, CloudMessage
 from salpcc.stages.ingest.sources.bag import Bag, open_log
 
@@ -68,16 +71,21 @@ def _bags(folder: Path) -> list[bytes]:
 
 
 def _sqlite(folder: Path) -> list[bytes]:
+    """The file of a bag, its metadata, and the file as rosbag2 compresses it."""
     with Rosbag2Writer(folder / "log", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection("/points", PLAIN, typestore=get_typestore(Stores.ROS2_HUMBLE))
         for time, data in _messages():
             writer.write(connection, time, data)
-    return [(folder / "log" / "log.db3").read_bytes(), (folder / "log" / "metadata.yaml").read_bytes()]
+    whole = (folder / "log" / "log.db3").read_bytes()
+    return [whole, (folder / "log" / "metadata.yaml").read_bytes(), zstandard.compress(whole)]
 
 
 def _all_scans(root: Path) -> None:
     bag = Bag()
-    for ref in bag.scans(root, "log"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)
+        refs = bag.scans(root, "log")
+    for ref in refs:
         scan = bag.read(ref, with_labels=False)
         assert len(scan.points) == len(scan.intensity)
 
@@ -95,7 +103,7 @@ def _read_bag(_: int, data: bytes, folder: Path) -> None:
 
 
 def _read_sqlite(which: int, data: bytes, folder: Path) -> None:
-    path = folder / "log" / ("log.db3", "metadata.yaml")[which]
+    path = folder / "log" / ("log.db3", "metadata.yaml", "log.db3")[which]
     whole = path.read_bytes()
     try:
         path.write_bytes(data)

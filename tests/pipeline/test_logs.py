@@ -251,6 +251,13 @@ def test_publish_times_numbers_and_channels_of_mcap_come_back(
     assert found[0] == found[1]
 
 
+def test_the_hash_of_a_type_comes_back_from_sqlite(coded: Path) -> None:
+    facts = [
+        dict(channel.metadata) for channel in Archive.open(coded / "archives" / "sqlite.mcap").log.values()
+    ]
+    assert len(facts) == 4 and all(one["topic_type_hash"].startswith("RIHS01_") for one in facts)
+
+
 def enclosed(path: Path) -> list[object]:
     """Attachments and metadata of an MCAP file as mcap's own reader tells them."""
     with path.open("rb") as stream:

@@ -32,7 +32,7 @@ Clouds = dict[str, list[tuple[int, tuple[int, ...]]]]  # by topic, the time of e
 
 
 _SHOWN = 8  # topics in a message
-SUFFIXES = (".mcap", ".bag", ".db3")
+_STORAGE = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
 
 
 class Bag:
@@ -85,7 +85,8 @@ class Bag:
             if differing := differences(read, counted):
                 raise SourceError(f"{path}: {differing[0]}; this log is not read right, it is left as it is")
             for line in caveats(path, log, counted):
-                warnings.warn(f"{path}: {line}", LogWarning, stacklevel=2)
+                # A name may hold anything; it stays one line.
+                warnings.warn(" ".join(f"{path}: {line}".split()), LogWarning, stacklevel=2)
         if not any(found.values()):
             raise SourceError(f"{path}: no messages on {', '.join(chosen)}, so there is nothing to code")
         slugs = _slugs(chosen)
@@ -143,7 +144,7 @@ def channels_of(cloud: Cloud, channels: dict[int, LogChannel]) -> list[LogChanne
 
 def count_log(path: Path) -> Counter[str]:
     """Count the messages of a log by topic, by other means than :func:`open_log` reads them."""
-    return count_messages(_message_files(path))
+    return count_messages(*_parts(path))
 
 
 def differences(read: Counter[str], counted: Counter[str], read_by: str = "read") -> list[str]:
@@ -157,7 +158,7 @@ def differences(read: Counter[str], counted: Counter[str], read_by: str = "read"
 
 def caveats(path: Path, log: Log, counted: Counter[str]) -> list[str]:
     """Say what of a log stays behind, and what its metadata say that is not so; all of it has been gone through."""
-    lines = [f"{what} stays behind" for what in log.left_behind()]
+    lines = [f"stays behind: {what}" for what in log.left_behind()]
     if not is_rosbag2(path):
         return lines
     bag = read_rosbag2(path)
@@ -171,7 +172,7 @@ def caveats(path: Path, log: Log, counted: Counter[str]) -> list[str]:
         own = qos_text(dict(channel.metadata).get("offered_qos_profiles", ""))
         if bag.qos.get(channel.topic, own) != own:
             lines.append(
-                f"the QoS that {METADATA} gives {channel.topic} stays behind; the one in the file is kept"
+                f"stays behind: the QoS that {METADATA} gives {channel.topic}; the one in the file is kept"
             )
     return list(dict.fromkeys(lines))
 
@@ -191,12 +192,12 @@ def open_log(path: Path) -> Log:
     Raises:
         SourceError: unreadable, or no log.
     """
-    files = _message_files(path)
-    if any(".mcap" in file.suffixes for file in files):
+    storage, files = _parts(path)
+    if storage == "mcap":
         return McapLog(files)
     if is_url(path):
         raise SourceError(f"{path}: only MCAP is read from a URL; copy this log to a folder")
-    return Ros1Log(path) if path.suffix == ".bag" else SqliteLog(files)
+    return SqliteLog(files) if storage == "sqlite3" else Ros1Log(path)
 
 
 @lru_cache(maxsize=2)
@@ -205,29 +206,35 @@ def _opened(path: str, changed: str) -> Log:
     return open_log(location(path))
 
 
-def _message_files(path: Path) -> list[Path]:
-    """The files that hold a log's messages, in order."""
-    return list(read_rosbag2(path).files) if path.suffix not in SUFFIXES or path.is_dir() else [path]
+def _parts(path: Path) -> tuple[str, list[Path]]:
+    """The storage of a log, and the files that hold its messages, in order."""
+    if path.suffix in _STORAGE and (is_url(path) or not path.is_dir()):
+        return _STORAGE[path.suffix], [path]
+    bag = read_rosbag2(path)
+    return bag.storage, list(bag.files)
 
 
 def find_log(root: Path, sequence: str) -> Path:
     """Return the log of that name in ``root``, or ``root`` where it is the log.
 
     Raises:
-        SourceError: there is none.
+        SourceError: there is none, or more than one.
     """
     if root.stem == sequence and _is_log(root):
         return root
-    for path in (*(root / f"{sequence}{suffix}" for suffix in SUFFIXES), root / sequence):
-        if _is_log(path):
-            return path
+    paths = [*(root / f"{sequence}{suffix}" for suffix in _STORAGE), root / sequence]
+    found = [path for path in paths if _is_log(path)]
+    if len(found) > 1:
+        raise SourceError(f"{root}: holds {' and '.join(p.name for p in found)}; name the one that is meant")
+    if found:
+        return found[0]
     if root.is_file():
         raise SourceError(f"{root}: {kind_of(root)}, no log that is read here. {Bag.hint}")
     raise SourceError(f"{root / sequence}: not found. {Bag.hint}")
 
 
 def _is_log(path: Path) -> bool:
-    return (path.suffix in SUFFIXES and path.is_file()) or is_rosbag2(path)
+    return (path.suffix in _STORAGE and path.is_file()) or is_rosbag2(path)
 
 
 def digest_log(path: Path) -> str:

@@ -31,19 +31,19 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 _CONNECTION, _CHUNK_INFO = b"\x07", b"\x06"
 
 
-def count_messages(files: list[Path]) -> Counts:
-    """Count the messages of the files of a log, by topic.
+def count_messages(storage: str, files: list[Path]) -> Counts:
+    """Count the messages of the files of a log, by topic; ``storage`` is a key of COUNTERS.
 
     Raises:
         SourceError: one of them cannot be counted.
     """
     total: Counts = Counter()
+    count = COUNTERS[storage]
     for file in files:
-        kind = next((end for end in _COUNTERS if end in file.suffixes), "")
         try:
             with reading(file) as stream:
                 packed = stream.read(4) == _ZSTD
-            total += _unpacked(file, _COUNTERS[kind]) if packed else _COUNTERS[kind](file)
+            total += _unpacked(file, count) if packed else count(file)
         except OSError as error:
             raise SourceError(f"{file}: {why(error)}") from error
         except Exception as error:  # what the packages make of a damaged file
@@ -149,4 +149,4 @@ def _tidy(topic: str) -> str:
     return "/" * topic.startswith("/") + "/".join(part for part in topic.split("/") if part)
 
 
-_COUNTERS: dict[str, Callable[[Path], Counts]] = {".mcap": _mcap, ".db3": _sqlite, ".bag": _bag}
+COUNTERS: dict[str, Callable[[Path], Counts]] = {"mcap": _mcap, "sqlite3": _sqlite, "ros1": _bag}

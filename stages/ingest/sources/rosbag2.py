@@ -15,11 +15,11 @@ import yaml
 
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.files import why
-from salpcc.stages.ingest.sources.sqlite_log import beside, qos_text
+from salpcc.stages.ingest.sources.sqlite_log import OF_SQLITE, qos_text
+from salpcc.stages.ingest.sources.unpack import COMPRESSED, plain_name
 
 METADATA = "metadata.yaml"
 _QOS = "offered_qos_profiles"
-_COMPRESSED = (".zstd", ".zst")
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
 
 
@@ -82,7 +82,7 @@ def read_rosbag2(path: Path) -> Rosbag2:
         )
     files, differences = _find(path, _SUFFIXES[storage], listed)
     if about.get("custom_data"):
-        differences.append(f"custom_data in {METADATA} stays behind")
+        differences.append(f"stays behind: custom_data in {METADATA}")
     return Rosbag2(path, storage, tuple(files), counts, qos, tuple(differences))
 
 
@@ -95,28 +95,22 @@ def _find(path: Path, suffix: str, listed: list[str]) -> tuple[list[Path], list[
     files: dict[str, Path] = {}  # by name before compression
     for name in listed:
         # Players leave the decompressed file beside the other: the same messages, to be read once.
-        names = [name, _plain(name), *(_plain(name) + end for end in _COMPRESSED)]
+        names = [name, plain_name(name), *(plain_name(name) + end for end in COMPRESSED)]
         found = next((there[other] for other in names if other in there), None)
         if found is None:
             raise SourceError(
                 f"{path / METADATA}: lists {name}, which is not in the folder; put it back or `ros2 bag reindex`"
             )
-        files.setdefault(_plain(name), found)
+        files.setdefault(plain_name(name), found)
     differences = []
-    known = {_plain(name) for name in listed}
+    known = {plain_name(name) for name in listed}
     for name, file in there.items():
-        if _plain(name).endswith(suffix) and _plain(name) not in known:
-            files.setdefault(_plain(name), file)
+        if plain_name(name).endswith(suffix) and plain_name(name) not in known:
+            files.setdefault(plain_name(name), file)
             differences.append(f"{name} is not listed in {METADATA}, and is read all the same")
-    of_bag = {name for name in there if _plain(name) in files} | {METADATA}
-    of_bag |= {side.name for file in files.values() for side in beside(file)}
-    of_bag |= {file.name + "-shm" for file in files.values()}
-    differences += [f"{name} beside the bag stays behind" for name in there if name not in of_bag]
+    of_bag = {name for name in there if plain_name(name) in files} | {METADATA}
+    of_bag |= {name for name in there if name.endswith(OF_SQLITE) and name.rpartition("-")[0] in of_bag}
+    differences += [f"stays behind: {name} beside the bag" for name in there if name not in of_bag]
     if not files:
         raise SourceError(f"{path / METADATA}: lists no files, and there are none")
     return list(files.values()), differences
-
-
-def _plain(name: str) -> str:
-    """The name of a file before it was compressed."""
-    return next((name.removesuffix(end) for end in _COMPRESSED if name.endswith(end)), name)

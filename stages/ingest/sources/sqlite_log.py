@@ -30,7 +30,12 @@ from salpcc.stages.ingest.sources.unpack import PlainFiles, plain_message
 
 _TABLES = {"messages", "topics"}
 _OTHER_TABLES = {"schema", "metadata", "message_definitions", "sqlite_sequence"}  # of rosbag2's, no messages
+_COLUMNS = {
+    "messages": {"id", "topic_id", "timestamp", "data"},
+    "topics": {"id", "name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"},
+}
 _BESIDE = ("-wal", "-journal")  # what SQLite has not put into the file yet
+OF_SQLITE = (*_BESIDE, "-shm")  # ends of the names of files beside one of SQLite's
 
 
 class SqliteLog:
@@ -72,12 +77,14 @@ class SqliteLog:
         return iter(())
 
     def left_behind(self) -> list[str]:
-        """Name tables that are none of rosbag2's."""
+        """Name tables and columns that are none of those known."""
         found: set[str] = set()
         for number, file in enumerate(self._open):
             with self._failing(number):
-                found |= _tables(file) - _TABLES - _OTHER_TABLES
-        return [f"the table {name}" for name in sorted(found)]
+                found |= {f"the table {name}" for name in _tables(file) - _TABLES - _OTHER_TABLES}
+                for table, known in _COLUMNS.items():
+                    found |= {f"the column {name} of {table}" for name in _columns(file, table) - known}
+        return sorted(found)
 
     def _connect(self, number: int) -> sqlite3.Connection:
         """Open a file for reading; where not all of it is in it yet, a copy to which SQLite may add the rest."""
@@ -100,25 +107,32 @@ class SqliteLog:
         file = self._open[number]
         if missing := _TABLES - _tables(file):
             raise ValueError(f"no ROS 2 bag: it has no table {min(missing)}")
-        columns = {row[1] for row in file.execute("PRAGMA table_info(topics)")}
-        qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+        columns = _columns(file, "topics")
+        more = [
+            name if name in columns else "''" for name in ("offered_qos_profiles", "type_description_hash")
+        ]
         told = {}
         if "message_definitions" in _tables(file):
             query = (
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
             )
             told = {kind: (encoding, text) for kind, encoding, text in reversed(list(file.execute(query)))}
-        rows = file.execute(f"SELECT id, name, type, serialization_format, {qos} FROM topics ORDER BY id")
-        for id_, topic, kind, encoding, profiles in rows:
+        rows = file.execute(
+            f"SELECT id, name, type, serialization_format, {', '.join(more)} FROM topics ORDER BY id"
+        )
+        for id_, topic, kind, encoding, profiles, type_hash in rows:
             if not isinstance(id_, int) or not all(
-                isinstance(t, str) for t in (topic, kind, encoding, profiles)
+                isinstance(t, str) for t in (topic, kind, encoding, profiles, type_hash)
             ):
                 raise ValueError(f"a topic with the number {id_} has no name or type")
             schema_encoding, text = told.get(kind, ("", ""))
             if not text:
                 schema_encoding, text = "ros2msg", _known_definition(kind)
-            metadata = (("offered_qos_profiles", qos_text(profiles)),)
-            new = LogChannel(0, topic, encoding, kind, schema_encoding, text.encode(), metadata)
+            metadata = [("offered_qos_profiles", qos_text(profiles))]
+            metadata += (
+                [("topic_type_hash", type_hash)] if type_hash else []
+            )  # the names that rosbag2 gives them
+            new = LogChannel(0, topic, encoding, kind, schema_encoding, text.encode(), tuple(metadata))
             ids = self._ids[number]
             ids[id_] = known_as(new, self.channels, ids.values()).id
 
@@ -168,6 +182,10 @@ def beside(path: Path) -> list[Path]:
 
 def _tables(file: sqlite3.Connection) -> set[str]:
     return {name for (name,) in file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+
+
+def _columns(file: sqlite3.Connection, table: str) -> set[str]:
+    return {row[1] for row in file.execute(f"PRAGMA table_info({table})")}
 
 
 def qos_text(profiles: Any) -> str:

@@ -16,9 +16,15 @@ from salpcc.schemas.errors import SourceError
 from salpcc.schemas.files import reading, why
 from salpcc.schemas.mcap_chunks import MAX_RECORD
 
+COMPRESSED = (".zstd", ".zst")  # ends of file names
 _MAGIC = b"\x28\xb5\x2f\xfd"
 _PIECE = 1 << 16  # bytes of a file read at once
 _FEW = 1 << 8  # of a message: a few bytes may stand for many
+
+
+def plain_name(name: str) -> str:
+    """The name of a file before rosbag2 compressed it."""
+    return next((name.removesuffix(end) for end in COMPRESSED if name.endswith(end)), name)
 
 
 def plain_message(data: bytes, encoding: str) -> bytes:
