@@ -12,7 +12,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, overload
@@ -46,6 +48,47 @@ def decode_scans(reader: ArchiveReader | Salvage, gop: int) -> Iterator[Scan]:
         yield scan_of(sweep, sensor)
 
 
+def decode_groups(
+    reader: ArchiveReader | Salvage, gops: Iterable[int], threads: int = 1
+) -> Iterator[Iterator[Scan]]:
+    """Decode GOPs, one iterator of scans for each; with several threads, as many GOPs at once.
+
+    Kernels run without the interpreter's lock, so threads are as good as processes, and no scan has to be copied. Then
+    a GOP is decoded before its first scan is given, and up to ``threads`` more wait in memory. What comes is the same
+    with any number; an iterator raises what :func:`decode_scans` does, after the same scans.
+    """
+    if threads <= 1:
+        yield from (decode_scans(reader, gop) for gop in gops)
+        return
+    ahead: deque[Future[tuple[list[Scan], Exception | None]]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for gop in gops:
+                ahead.append(pool.submit(_decoded, reader, gop))
+                if len(ahead) > threads:
+                    yield _given(*ahead.popleft().result())
+            while ahead:
+                yield _given(*ahead.popleft().result())
+        finally:
+            for future in ahead:
+                future.cancel()
+
+
+def _decoded(reader: ArchiveReader | Salvage, gop: int) -> tuple[list[Scan], Exception | None]:
+    scans: list[Scan] = []
+    try:
+        scans.extend(decode_scans(reader, gop))  # keeps those before an error
+    except Exception as error:  # noqa: BLE001 (whoever asks for the scan gets it)
+        return scans, error
+    return scans, None
+
+
+def _given(scans: list[Scan], error: Exception | None) -> Iterator[Scan]:
+    yield from scans
+    if error is not None:
+        raise error
+
+
 def _detached(scan: Scan) -> Scan:
     """Copy the arrays of a scan, so that whoever writes into them changes nothing that is decoded later."""
     return replace(
@@ -70,20 +113,25 @@ class Archive:
     _decoded: list[Scan]  # its scans so far
     _decoder: Iterator[Scan]  # gives the rest
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, threads: int = 1) -> None:
         """Open an archive.
+
+        Args:
+            path: the file, or its URL.
+            threads: GOPs that are decoded at once while one iterates, and kept in memory; the scans are the same.
 
         Raises:
             ArchiveError: not an archive, damaged, truncated, or of a newer major version.
         """
         self._reader = ArchiveReader(path)
+        self._threads = threads
         self._places = [(g, i) for g, gop in enumerate(self._reader.gops) for i in range(len(gop))]
         self._forget()
 
     @classmethod
-    def open(cls, path: str | Path) -> Archive:
+    def open(cls, path: str | Path, threads: int = 1) -> Archive:
         """Open an archive; the same as the constructor, reads well in a ``with`` statement."""
-        return cls(path)
+        return cls(path, threads)
 
     def __enter__(self) -> Self:
         return self
@@ -148,14 +196,14 @@ class Archive:
         return _detached(self._decoded[place])
 
     def __iter__(self) -> Iterator[Scan]:
-        for gop in range(len(self._reader.gops)):
-            yield from map(_detached, decode_scans(self._reader, gop))
+        for scans in decode_groups(self._reader, range(len(self._reader.gops)), self._threads):
+            yield from map(_detached, scans)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"reader": self._reader, "places": self._places}
+        return {"reader": self._reader, "threads": self._threads, "places": self._places}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self._reader, self._places = state["reader"], state["places"]
+        self._reader, self._threads, self._places = state["reader"], state["threads"], state["places"]
         self._forget()
 
     def _forget(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,9 @@ Path_ = Annotated[
     Path,
     typer.Argument(parser=location, metavar="ARCHIVE", help="An archive, OUT/archives/SEQ.mcap, or its URL"),
 ]
+Threads = Annotated[
+    int | None, typer.Option(min=1, help="Groups of scans to decode at once; by default one per core")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout")]
 
 
@@ -50,6 +54,7 @@ def decode(
     crs: Annotated[
         str | None, typer.Option(help="Coordinate system to state in LAZ, such as EPSG:25832")
     ] = None,
+    threads: Threads = None,
 ) -> None:
     """Turn an archive back into scans, bit for bit where it was made so."""
     if to not in EXPORTS:
@@ -57,7 +62,7 @@ def decode(
     if crs and to != "laz":
         raise UsageError(f"--crs: --to {to} has no place for it; --to laz has")
     export: Export = partial(to_laz, crs=crs) if crs else EXPORTS[to]
-    with Archive.open(archive) as opened:
+    with Archive.open(archive, threads or _cores()) as opened:
         count = 0
         for path in export(
             opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True, markup=False)
@@ -69,6 +74,11 @@ def decode(
             there = f"it holds {names[0]} to {names[-1]}" if names else "it holds none"
             raise UsageError(f"--frames {frames}: no scan of {archive} lies there; {there}")
         typer.echo(f"{count} file{'s' if count > 1 else ''} in {folder}")
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _selected(archive: Archive, frames: str | None) -> Iterator[Scan]:
@@ -90,9 +100,10 @@ def verify(
         typer.Option(parser=location, metavar=PLACE, help="Data root; compares every point with its source"),
     ] = None,
     json_: Json = False,
+    threads: Threads = None,
 ) -> None:
     """Check every checksum and decode everything; with --against, compare with the source."""
-    verdict = verify_archive(archive, against)
+    verdict = verify_archive(archive, against, threads or _cores())
     if json_:
         typer.echo(json.dumps(verdict.as_dict(), indent=1))
     else:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.archive import decode_groups
 from salpcc.pipeline.logs import compare_log
 from salpcc.pipeline.plan import missing_root
 from salpcc.schemas.config import GRID_ACCURACY
@@ -52,10 +52,10 @@ class Verdict:
         return {"good": self.good, **asdict(self)}
 
 
-def verify(path: Path, against: Path | None = None) -> Verdict:
+def verify(path: Path, against: Path | None = None, threads: int = 1) -> Verdict:
     """Decode all of an archive; with ``against`` (a data root), compare each point with its source.
 
-    What is damaged is listed under ``problems``; other GOPs are still verified.
+    What is damaged is listed under ``problems``; other GOPs are still verified. ``threads`` GOPs are decoded at once.
 
     Raises:
         ArchiveError: the index itself is damaged, or this is no archive.
@@ -71,9 +71,10 @@ def verify(path: Path, against: Path | None = None) -> Verdict:
     except ArchiveError as error:
         verdict.problems.append(str(error))
     coded: Counter[str] = Counter()  # messages of a log, by topic
-    for gop, entries in enumerate(reader.gops):
+    groups = decode_groups(reader, range(len(reader.gops)), threads)
+    for entries, scans in zip(reader.gops, groups, strict=True):
         try:
-            for entry, scan in zip(entries, decode_scans(reader, gop), strict=True):
+            for entry, scan in zip(entries, scans, strict=True):
                 verdict.scans += 1
                 verdict.points += len(scan)
                 if len(scan) != entry.kept:

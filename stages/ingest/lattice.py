@@ -62,7 +62,7 @@ def model_point(
     return r * cos_phi - h * sin_phi, r * sin_phi + h * cos_phi, d * c[1] + p[1]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _unproject(
     parameters: NDArray[np.float64],
     count_size: float,

@@ -25,7 +25,7 @@ def azimuth_key(x: float, y: float) -> float:
     return angle + TWO_PI if angle < 0.0 else angle
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def azimuth_keys(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return :func:`azimuth_key` of points ``(M, 3)``."""
     n = len(points)
@@ -41,7 +41,7 @@ def azimuth_keys(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return keys
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def file_order(laser: NDArray[np.uint8], keys: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the permutation ``(M,)`` that sorts returns in firing order by (laser, key), stably.
 

@@ -28,7 +28,7 @@ def from_ordered_bits(bits: NDArray[np.int64]) -> NDArray[np.float32]:
     return np.where(bits < 0, bits ^ 0x7FFFFFFF, bits).astype(np.int32).view(np.float32)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _compensate(
     model: NDArray[np.float64], millimetre: NDArray[np.uint8], motion: NDArray[np.float64], moving: bool
 ) -> NDArray[np.float64]:
@@ -70,7 +70,7 @@ def published_points(compensated: NDArray[np.float64], ulp: NDArray[np.uint8]) -
     return points
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def millimetre_boundary(model: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
     """Distance ``(M, 3)`` in mm to the nearest rounding boundary, and the step across it, +1 or -1."""
     distance = np.empty(model.shape)
@@ -84,7 +84,7 @@ def millimetre_boundary(model: NDArray[np.float64]) -> tuple[NDArray[np.float64]
     return distance, step
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def float32_boundary(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
     """Distance ``(M, 3)`` in nanometres to the nearest float32 rounding boundary, and the step across it."""
     distance = np.empty(points.shape)

@@ -158,7 +158,7 @@ def source_places(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.int64],
     return places, sweep.stray_index
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _arranged(
     points: NDArray[np.float32],
     intensity: NDArray[np.float32],

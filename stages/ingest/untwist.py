@@ -96,7 +96,7 @@ def inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -
     return qx, qy, qz
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compensate raw points ``(N, 3)`` in metres for the motion ``(6,)``; the published ones are its float32."""
     n = len(raw)

@@ -77,7 +77,7 @@ def encode_corrections(
     return finish_encoder(state, out)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def decode_corrections(
     distance: NDArray[np.float64],
     step: NDArray[np.int8],

@@ -127,7 +127,7 @@ def encode_mask(
     return finish_encoder(coder, out)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def decode_mask(
     shift: NDArray[np.int64],
     ticks: int,

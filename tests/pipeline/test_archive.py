@@ -15,6 +15,8 @@ import salpcc.pipeline.archive as module
 from salpcc.pipeline import Archive, Scan, encode_scans
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.predict.learned import intensity_model, range_model
+from salpcc.stages.predict.static import intensities, levels
 
 
 @pytest.fixture
@@ -120,3 +122,57 @@ def test_a_failed_decode_can_be_tried_again(path: Path, monkeypatch: pytest.Monk
         with pytest.raises(ArchiveError, match="000000 is missing"):
             archive[0]
     assert archive[0].name == "000000"
+
+
+@pytest.mark.parametrize("threads", [2, 3, 8])
+def test_threads_give_the_same_scans(path: Path, threads: int) -> None:
+    alone = list(Archive.open(path))
+    together = list(pickle.loads(pickle.dumps(Archive.open(path, threads=threads))))
+    assert [(s.name, s.time, s.frame_id) for s in together] == [(s.name, s.time, s.frame_id) for s in alone]
+    for one, other in zip(alone, together, strict=True):
+        assert one.points.tobytes() == other.points.tobytes()
+        assert one.intensity.tobytes() == other.intensity.tobytes()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_broken_gop_ends_the_scans_where_it_breaks(
+    path: Path, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decode = module.decode_scans
+
+    def breaks(reader: Any, gop: int) -> Iterator[Scan]:
+        scans = decode(reader, gop)
+        yield next(scans)
+        if gop == 1:
+            raise ArchiveError("torn")
+        yield from scans
+
+    monkeypatch.setattr(module, "decode_scans", breaks)
+    came = []
+    with pytest.raises(ArchiveError, match="torn"):
+        for scan in Archive.open(path, threads=threads):
+            came.append(scan.name)
+    assert came == Archive.open(path).names[:3]
+
+
+def test_threads_decode_no_further_ahead_than_their_number(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = []
+
+    def counted(reader: Any, gop: int) -> Iterator[int]:
+        begun.append(gop)
+        yield gop
+
+    monkeypatch.setattr(module, "decode_scans", counted)
+    groups = module.decode_groups(Archive.open(path)._reader, range(100), threads=3)
+    for gop in range(5):
+        assert list(next(groups)) == [gop]
+        assert len(begun) <= gop + 4
+    groups.close()
+    assert len(begun) <= 8
+
+
+def test_the_heavy_kernels_run_without_the_lock_of_the_interpreter() -> None:
+    for kernel in (range_model.walk, intensity_model.walk, levels.walk_levels, intensities.walk_intensities):
+        assert kernel.targetoptions["nogil"]

@@ -10,12 +10,27 @@ from salpcc.pipeline import encode_scans
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
+from salpcc.stages.residual_code.archive_reader import ArchiveReader
 
 
 @pytest.fixture
 def root(toy_root: Path, tmp_path: Path) -> Path:
     shutil.copytree(toy_root, tmp_path / "root")
     return tmp_path / "root"
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_damaged_gop_leaves_the_others_verified(done: Path, tmp_path: Path, threads: int) -> None:
+    archive = done / "archives" / "00.mcap"
+    whole, reader = verify(archive, threads=threads), ArchiveReader(archive)
+    payload = reader.payloads(1)[0].data
+    data = bytearray(archive.read_bytes())
+    data[data.index(payload) + len(payload) // 2] ^= 1
+    bad = tmp_path / "00.mcap"
+    bad.write_bytes(data)
+    verdict = verify(bad, threads=threads)
+    assert any("GOP 1" in problem for problem in verdict.problems)
+    assert verdict.scans == whole.scans - len(reader.gops[1])
 
 
 def test_good_archive_is_good(done: Path, root: Path) -> None:

@@ -145,7 +145,7 @@ def _ring(  # type: ignore[no-untyped-def]
     return rows
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def walk(  # type: ignore[no-untyped-def]
     mode, starts, azimuth, inverse, intensity, constants, layers, intervals, state, data, keep, rows_x, rows_side,
     before, cones,

@@ -50,7 +50,7 @@ class WarpedSweep:
         return self.number, self.azimuth, self.inverse, self.height, self.intensity
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _seen(points, laser, motion_before, motion, parameters, tangent):  # type: ignore[no-untyped-def]
     """Row, azimuth in ticks, inverse range and height of each compensated point of the sweep before."""
     n = len(points)
@@ -93,7 +93,7 @@ def _later(x: float, y: float, z: float, m: NDArray[np.float64]) -> tuple[float,
     return moved(x, y, z, 0.5, m)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _rows(order, row, seen, intensity, lasers):  # type: ignore[no-untyped-def]
     """Lay out points, given by row and azimuth in ``order``; fill the margins."""
     number = np.zeros(lasers, np.int64)

@@ -30,7 +30,7 @@ def row_size(starts: NDArray[np.int64]) -> int:
     return longest_ring(starts) + 2 * PAD + SLACK
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def place_rings(starts, tick, level, step, constants):  # type: ignore[no-untyped-def]
     """Azimuths and inverse ranges of all rings, each at ``[PAD, PAD + n)`` of its row, margins cyclic."""
     n_rings = len(starts) - 1

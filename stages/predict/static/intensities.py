@@ -75,7 +75,7 @@ def _neighbours(first, end, above, above2, tick, level, value, before, others): 
         others[1, at] = 1.0 / total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def walk_intensities(  # type: ignore[no-untyped-def]
     decoding, starts, tick, level, value, context, start, guide, words
 ):

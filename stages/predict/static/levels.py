@@ -86,7 +86,7 @@ def _align(ticks, offset, lever, above, n_above, clean, errors):  # type: ignore
         errors[3, i] = above[_MISS, a] + above[_MISS, b]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def walk_levels(  # type: ignore[no-untyped-def]
     decoding, starts, tick, level, step, table, context, residual, start, guide, words
 ):
