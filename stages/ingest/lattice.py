@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.ingest.drivers import NO_FORMULA, Tables, driver_point
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import TWO_PI, arctan2, sin_cos, turn_tables
 
@@ -95,6 +96,55 @@ def unproject(
     return _unproject(
         sensor.parameters, sensor.count, sensor.ticks_per_turn, laser, tick, count.astype(np.float64)
     )
+
+
+@njit(cache=True, error_model="numpy")
+def place_point(
+    driver: Tables,
+    tick: int,
+    count: float,
+    laser: int,
+    parameters: NDArray[np.float64],
+    constants: NDArray[np.float64],
+    count_size: float,
+    sines: NDArray[np.float64],
+    cosines: NDArray[np.float64],
+) -> tuple[float, float, float]:
+    """Point in metres of a return, by the driver if there is one (:data:`NO_DRIVER`: by the model)."""
+    if driver[0] == NO_FORMULA:
+        return model_point(
+            tick, count, parameters[laser], constants[laser], count_size, sines, cosines
+        )
+    x, y, z = driver_point(driver, laser, tick, count, count_size)
+    return np.float64(x), np.float64(y), np.float64(z)
+
+
+@njit(cache=True, error_model="numpy")
+def _driven(
+    driver: Tables,
+    count_size: float,
+    laser: NDArray[np.uint8],
+    tick: NDArray[np.int32],
+    count: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    points = np.empty((len(laser), 3))
+    for i in range(len(laser)):
+        points[i, 0], points[i, 1], points[i, 2] = driver_point(
+            driver, np.int64(laser[i]), np.int64(tick[i]), count[i], count_size
+        )
+    return points
+
+
+def driven(
+    sensor: SensorModel,
+    laser: NDArray[np.uint8],
+    tick: NDArray[np.int32],
+    count: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the points ``(M, 3)`` that the sensor's driver makes, float32 values; without a driver as :func:`unproject`."""
+    if sensor.driver is None:
+        return unproject(sensor, laser, tick, count)
+    return _driven(sensor.driver.tables, sensor.count, laser, tick % sensor.ticks_per_turn, count)
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError
+from salpcc.stages.ingest.drivers import Driver
 
 SENSORS = Path(__file__).parent / "sensors"
-_VERSION = 1
+_VERSION = 2
 _PER_LASER = ("theta", "z0", "h", "phi0", "d0")
 _MAX_LASERS = 256
 _MAX_TICKS = 1 << 16
@@ -38,6 +39,7 @@ class SensorModel:
         phi0: azimuth offset below one tick, rad.
         d0: range offset, m.
         shift: ticks between the common firing and the laser's own azimuth, ``(L,)`` int64.
+        driver: the arithmetic that makes points of ticks and counts to the bit, where it is known.
     """
 
     name: str
@@ -49,6 +51,7 @@ class SensorModel:
     phi0: NDArray[np.float64]
     d0: NDArray[np.float64]
     shift: NDArray[np.int64]
+    driver: Driver | None = None
 
     def __repr__(self) -> str:
         return f"SensorModel({self.name!r}, {self.n_lasers} lasers)"
@@ -70,13 +73,15 @@ class SensorModel:
     def to_json(self) -> str:
         """Write the model as canonical JSON; floats are written so that they read back exactly."""
         document: dict[str, object] = {
-            "version": _VERSION,
+            "version": 1 if self.driver is None else _VERSION,
             "name": self.name,
             "ticks_per_turn": self.ticks_per_turn,
             "count": self.count,
             "shift": self.shift.tolist(),
         }
         document |= {name: getattr(self, name).tolist() for name in _PER_LASER}
+        if self.driver is not None:
+            document["driver"] = self.driver.to_document()
         lines = [f"{json.dumps(k)}:{json.dumps(v, separators=(',', ':'))}" for k, v in document.items()]
         return "{" + ",\n".join(lines) + "}\n"
 
@@ -96,6 +101,7 @@ class SensorModel:
                 ticks_per_turn=int(document["ticks_per_turn"]),
                 count=float(document["count"]),
                 shift=np.array([int(value) for value in document["shift"]], np.int64),
+                driver=Driver.from_document(document["driver"]) if document.get("driver") else None,
                 **{name: np.array([float(v) for v in document[name]], np.float64) for name in _PER_LASER},
             )
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
@@ -108,6 +114,10 @@ class SensorModel:
             and bool(np.isfinite(model.parameters).all())
             and bool((np.abs(model.parameters) < 10).all())
             and bool((np.abs(model.shift) <= model.ticks_per_turn).all())
+            and (
+                model.driver is None
+                or (len(model.driver.lasers) == model.n_lasers and model.driver.steps == model.ticks_per_turn)
+            )
         )
         if not sound:
             raise SensorError(f"sensor model {model.name!r} has values out of range")

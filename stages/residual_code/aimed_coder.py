@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from salpcc.stages.ingest.lattice import model_point
+from salpcc.stages.ingest.lattice import place_point
 from salpcc.stages.ingest.untwist import moved
 from salpcc.stages.residual_code.aimed_neighbours import above_and_below, guess_inverse, link
 from salpcc.stages.residual_code.aimed_symbols import (
@@ -66,10 +66,11 @@ def code_aimed(  # type: ignore[no-untyped-def]
         form, per: of corrections, where ``exact``. ``step`` counts make a level.
         reach: 0; above 0 a tick becomes the expected one where that leaves a point within so many metres of ``points``, and what
             is written is no stream.
-        sensor: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks, neighbours above and below.
+        sensor: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks, neighbours above and below,
+            driver (:data:`~salpcc.stages.ingest.drivers.NO_DRIVER`: none).
         motion: whether there is one, and its six numbers.
     """
-    parameters, constants, sines, cosines, count_size, phase, above, below = sensor
+    parameters, constants, sines, cosines, count_size, phase, above, below, driver = sensor
     moving, m = motion
     of_kind, of_laser, of_tick, of_pace, of_spread, of_level, of_fix, of_reach = models
     n, ticks, lasers = len(points), len(sines), len(parameters)
@@ -128,9 +129,10 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 how, expected = 2, tick[recent]
             if reach > 0.0 and how == 0:
                 count = level[i] * step + 0.5 * (step - 1)
-                x, y, z = model_point(
-                    np.int32(expected % ticks), count, parameters[k], constants[k], count_size, sines, cosines
-                )
+                x, y, z = place_point(
+                    driver, np.int64(expected % ticks), count, k,
+                    parameters, constants, count_size, sines, cosines,
+                )  # fmt: skip
                 if moving:
                     x, y, z = moved(x, y, z, (firings - 1 - i // slots) / firings, m)
                 x -= np.float64(points[i, 0])
@@ -184,8 +186,8 @@ def code_aimed(  # type: ignore[no-untyped-def]
             sizes[i, 0] = (size_of(abs(number)) + 1) // 2
             level[i] = min(max(foretold + number, 0), MAX_LEVEL)
             count = level[i] * step + middle
-            x, y, z = model_point(
-                np.int32(tick[i]), count, parameters[k], constants[k], count_size, sines, cosines
+            x, y, z = place_point(
+                driver, tick[i], count, k, parameters, constants, count_size, sines, cosines
             )
             d = max(count * count_size + d0, 1e-3)
             inverse[i] = 1.0 / d

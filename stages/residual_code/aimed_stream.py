@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.ingest.aim import aim
-from salpcc.stages.ingest.lattice import laser_constants, unproject
+from salpcc.stages.ingest.drivers import NO_DRIVER
+from salpcc.stages.ingest.lattice import driven, laser_constants
 from salpcc.stages.ingest.list_motion import places, redo, undo
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import TWO_PI, turn_tables
@@ -111,7 +112,7 @@ def _decoded(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where places on the lattice decode to, ``(S, 3)``, and where no return would."""
     middle = (level * way.step + 0.5 * (way.step - 1)).astype(np.float64)
-    model = unproject(sensor, laser, tick.astype(np.int32), middle)
+    model = driven(sensor, laser, tick.astype(np.int32), middle)
     origin = np.zeros(model.shape)
     if way.motion is None:
         return model, origin
@@ -175,7 +176,8 @@ def _tables(sensor: SensorModel) -> tuple[Any, ...]:
     above[order[1:]], below[order[:-1]] = order[:-1], order[1:]
     phase = parameters[:, 3] * (sensor.ticks_per_turn / TWO_PI)
     sines, cosines = turn_tables(sensor.ticks_per_turn)
-    return parameters, laser_constants(parameters), sines, cosines, sensor.count, phase, above, below
+    driver = NO_DRIVER if sensor.driver is None else sensor.driver.tables
+    return parameters, laser_constants(parameters), sines, cosines, sensor.count, phase, above, below, driver
 
 
 def _within(points: F32, model: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:

@@ -1,0 +1,108 @@
+"""Drivers: the arithmetic, in float32, by which a sensor's driver made points of counts and azimuth indices.
+
+One file a formula. Both have cosine and sine of the laser's elevation e as float32, and turn the same way: with the range
+``d`` and a *bearing* (u, v) of the laser at the azimuth index, every product rounded to float32::
+
+    x = (d cos e) u          y = (d cos e) v          z = d sin e
+
+A tick of the sensor model counts the other way round than an index, so tick T is index ``(STEPS - T) mod STEPS``. The range is
+``count * unit``, the product of float32 (``single``) or of float64 rounded once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.drivers import hesai, velodyne
+
+FORMULAS: dict[str, ModuleType] = {"velodyne": velodyne, "hesai": hesai}
+SINES = ("rounded", "polynomial")  # the kinds of :mod:`.sines`
+NO_FORMULA, VELODYNE = -1, 0
+_ROWS = 4  # numbers of a laser
+
+F32 = NDArray[np.float32]
+Tables = tuple[int, int, bool, F32, F32]
+
+
+@dataclass(frozen=True, eq=False)
+class Driver:
+    """A formula and its numbers.
+
+    Attributes:
+        formula: one of FORMULAS.
+        sine: one of SINES.
+        single: counts become metres in float32.
+        lasers: ``(L, 4)`` float32: cosine and sine of the elevation, and the two numbers of the formula's ``row``.
+    """
+
+    formula: str
+    sine: str
+    single: bool
+    lasers: F32
+
+    @property
+    def steps(self) -> int:
+        """Azimuth indices in a turn."""
+        return int(FORMULAS[self.formula].STEPS)
+
+    @cached_property
+    def tables(self) -> Tables:
+        """What :func:`driver_point` wants."""
+        formula, sine = list(FORMULAS).index(self.formula), SINES.index(self.sine)
+        return formula, sine, self.single, FORMULAS[self.formula].table(sine), np.ascontiguousarray(self.lasers)
+
+    def to_document(self) -> dict[str, Any]:
+        """As JSON: float32 values by the shortest decimals that read back as they."""
+        return {
+            "formula": self.formula,
+            "sine": self.sine,
+            "single": self.single,
+            "lasers": [[float(str(value)) for value in laser] for laser in self.lasers],
+        }
+
+    @classmethod
+    def from_document(cls, document: dict[str, Any]) -> Driver:
+        """Inverse of :meth:`to_document`.
+
+        Raises:
+            ValueError, KeyError, TypeError: it is none.
+        """
+        lasers = np.array([[float(v) for v in laser] for laser in document["lasers"]], np.float32)
+        sound = lasers.ndim == 2 and lasers.shape[1] == _ROWS and bool((np.abs(lasers) < 10.0).all())
+        if document["formula"] not in FORMULAS or document["sine"] not in SINES or not sound:
+            raise ValueError("a driver that is not known")
+        return cls(document["formula"], document["sine"], bool(document["single"]), lasers)
+
+
+NO_DRIVER: Tables = (NO_FORMULA, 0, False, np.zeros((1, 2), np.float32), np.zeros((1, _ROWS), np.float32))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def range32(single: bool, count: float, unit: float) -> np.float32:
+    """Return the range of a count, metres."""
+    if single:
+        return np.float32(np.float32(count) * np.float32(unit))
+    return np.float32(count * unit)
+
+
+@njit(cache=True, error_model="numpy")
+def driver_point(
+    driver: Tables, laser: int, tick: int, count: float, unit: float
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Return x, y, z of a laser at a tick (0 <= tick < STEPS), bit for bit as the driver has it where ``count`` is whole."""
+    formula, sine, single, values, lasers = driver
+    index = len(values) - tick if tick > 0 else 0
+    d = range32(single, count, unit)
+    if formula == VELODYNE:
+        u, v = velodyne.bearing(values, index, lasers[laser, 2], lasers[laser, 3])
+    else:
+        u, v = hesai.bearing(sine, values, index, lasers[laser, 2])
+    rho = np.float32(d * lasers[laser, 0])
+    return np.float32(rho * u), np.float32(rho * v), np.float32(d * lasers[laser, 1])

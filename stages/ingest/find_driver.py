@@ -1,0 +1,198 @@
+"""Find a sensor's driver near its fitted model: which formula, and every laser's own float32 numbers, by counting identical bits.
+
+A float32 sine of the elevation gives back every z of its laser or else about half of them, so the one that most points agree on
+is the driver's. The azimuth offset is sought likewise, among all float32 angles that whole indices leave.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.aim import aim
+from salpcc.stages.ingest.drivers import FORMULAS, SINES, VELODYNE, Driver, hesai, velodyne
+from salpcc.stages.ingest.drivers.sines import cosine32, sine32
+from salpcc.stages.ingest.lattice import driven
+from salpcc.stages.ingest.sensor_model import SensorModel
+
+_LEVER = 1e-4  # metres; formulas know no lever arms
+_NEAR = 0.1  # metres; nearer points tell nothing
+_SAMPLE, _REFINED = 500, 10_000  # points of a laser
+_CHOSEN, _FEW = 3, 150  # lasers that the formula is chosen by, and points of them
+_HOLDS, _SURE = 0.9, 0.99  # of the points of a laser
+_WIDEST = 2000  # indices that an offset may be
+_WINDOW = 2.5e-7  # radians that the phase of azimuths may be off by
+_TRIED = 200  # offsets in that window
+_ULPS = 4
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | None:
+    """Return the model with the driver that made points ``(N, 3)`` of lasers ``(N,)`` (-1: not known); None where none is found."""
+    levers = np.abs(np.stack([model.h, model.z0, model.d0]))
+    if levers.max() > _LEVER:
+        return None
+    reach = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1))
+    order = np.random.default_rng(0).permutation(np.flatnonzero((laser >= 0) & (reach > _NEAR)))
+    own = [order[laser[order] == k] for k in range(model.n_lasers)]
+    few = [own[k][:_FEW] for k in sorted(range(model.n_lasers), key=lambda k: -len(own[k]))[:_CHOSEN]]
+    best: tuple[float, Driver] | None = None
+    for single in (False, True):
+        d = _ranges(reach, model.count, single)
+        if np.median([_elevation(points[some, 2], d[some])[1] for some in few]) < _HOLDS:
+            continue
+        for formula, sine in ((formula, sine) for formula in FORMULAS for sine in SINES):
+            share = float(
+                np.median([_laser(points[some], d[some], formula, SINES.index(sine))[1] for some in few])
+            )
+            if best is None or share > best[0]:
+                best = share, Driver(formula, sine, single, np.zeros((0, 4), np.float32))
+            if share > _SURE:
+                break
+    if best is None or best[0] < _HOLDS:
+        return None
+    kind = best[1]
+    d = _ranges(reach, model.count, kind.single)
+    rows = [_laser(points[some], d[some], kind.formula, SINES.index(kind.sine))[0] for some in own]
+    return with_driver(model, replace(kind, lasers=np.array(rows, np.float32)))
+
+
+def _ranges(reach: F64, unit: float, single: bool) -> F32:
+    """The ranges of a driver, from distances ``(N,)``."""
+    counts = np.rint(reach / unit)
+    return np.asarray(
+        counts.astype(np.float32) * np.float32(unit) if single else (counts * unit).astype(np.float32)
+    )
+
+
+def with_driver(model: SensorModel, driver: Driver) -> SensorModel:
+    """Return the model whose five numbers per laser are those of its driver; shifts are as they were, and to be found again."""
+    cosine, sine = driver.lasers[:, :2].astype(np.float64).T
+    zero = np.zeros(model.n_lasers)
+    phi0 = FORMULAS[driver.formula].phase(driver.lasers[:, 2:])
+    return replace(
+        model, ticks_per_turn=driver.steps, theta=np.round(np.arctan2(sine, cosine), 9), z0=zero, h=zero,
+        phi0=np.round(phi0, 9), d0=zero, shift=np.zeros(model.n_lasers, np.int64), driver=driver,
+    )  # fmt: skip
+
+
+def share_identical(model: SensorModel, points: F32) -> float:
+    """Share of the returns among points ``(N, 3)`` that the model gives back bit for bit."""
+    with np.errstate(invalid="ignore"):
+        returns = points[np.abs(points).max(axis=1, initial=0.0) > 0]
+    laser, tick, count, _ = aim(model, returns.astype(np.float64))
+    seen = laser >= 0
+    back = driven(model, laser[seen].astype(np.uint8), tick[seen].astype(np.int32), count[seen].astype(np.float64))
+    same = back.astype(np.float32).view(np.int32) == returns[seen].view(np.int32)
+    return float(same.all(axis=1).sum() / max(len(returns), 1))
+
+
+def _laser(points: F32, d: F32, formula: str, sine: int) -> tuple[tuple[float, ...], float]:
+    """Return the row of one laser, and the share of its points ``(N, 3)`` at ranges ``(N,)`` that it gives back."""
+    if not len(points):
+        return (1.0, 0.0, *FORMULAS[formula].row(sine, np.float32(0.0))), 0.0
+    sin_e, _ = _elevation(points[:, 2], d)
+    cosines = _cosines(sin_e)
+    x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+    forward = np.arctan2(-y, x) if formula == "velodyne" else np.arctan2(x, y)
+    turns = forward / (2 * np.pi) * velodyne.STEPS
+    phase = float(np.angle(np.exp(2j * np.pi * turns).mean()) / (2 * np.pi))
+    part = slice(0, _REFINED)
+    number = list(FORMULAS).index(formula)
+    values = FORMULAS[formula].table(sine)
+    lost, offset, cos_e = _search(
+        number, sine, values, points[part], d[part], turns[part], phase, cosines, _SAMPLE, _WIDEST, _TRIED
+    )
+    share = 1.0 - lost / len(points[part])
+    return (cos_e, sin_e, *FORMULAS[formula].row(sine, np.float32(offset))), share
+
+
+def _elevation(z: F32, d: F32) -> tuple[np.float32, float]:
+    """Return the float32 sine that gives back most heights ``(N,)`` at ranges ``(N,)``, and the share of them."""
+    wide, half = z.astype(np.float64), np.spacing(np.abs(z)).astype(np.float64) / 2
+    ends = np.concatenate([(wide - half) / d, (wide + half) / d])
+    order = np.argsort(ends, kind="stable")
+    depth = np.cumsum(np.where(order < len(z), 1, -1))
+    at = int(depth.argmax())
+    middle = np.float32((ends[order[at]] + ends[order[min(at + 1, len(order) - 1)]]) / 2)
+    near = np.append(_around(middle, _ULPS), np.float32(0.0))
+    hits = [(d * sine == z).mean() for sine in near]
+    return near[int(np.argmax(hits))], float(np.max(hits))
+
+
+def _cosines(sin_e: np.float32) -> F32:
+    """Cosines that a float32 elevation of that sine may have."""
+    angles = _around(np.float32(np.arcsin(np.float64(sin_e))), 40)
+    told = [cosine32(kind, a) for kind in (0, 1) for a in angles if sine32(kind, a) == sin_e]
+    return np.unique(np.array(told or _around(np.float32(np.sqrt(1.0 - float(sin_e) ** 2)), 1), np.float32))
+
+
+def _around(value: np.float32, ulps: int) -> F32:
+    bits = np.array([value], np.float32).view(np.int32)
+    return np.asarray((bits + np.arange(-ulps, ulps + 1, dtype=np.int32)).view(np.float32))
+
+
+@njit(cache=True, error_model="numpy")
+def _search(formula, sine, values, points, d, turns, phase, cosines, few, widest, tried):  # type: ignore[no-untyped-def]
+    """Return the fewest points lost, and the offset and cosine that lose them; offsets of few indices come first."""
+    few = min(few, len(points))
+    best, best_offset, best_cosine = few + 1, 0.0, cosines[0]
+    index = np.empty(len(points), np.int64)
+    unit = 2.0 * np.pi / len(values)
+    step = 2.0 * _WINDOW / tried
+    for round_ in range(2 * widest + 1):
+        n = (round_ + 1) // 2 * (1 if round_ & 1 else -1)
+        for i in range(few):
+            index[i] = np.int64(np.rint(turns[i] - phase - n)) % len(values)
+        middle = (phase + n) * unit
+        for t in range(tried + 2):
+            offset = np.float32(middle - _WINDOW + t * step)
+            if t == tried + 1:
+                if abs(middle) > _WINDOW:
+                    continue
+                offset = np.float32(0.0)
+            for cos_e in cosines:
+                lost = _lost(formula, sine, values, points[:few], d, index, offset, cos_e, best)
+                if lost < best:
+                    best, best_offset, best_cosine = lost, offset, cos_e
+        if best == 0:
+            break
+    # Small offsets are finer than the steps so far, and more points tell more of them.
+    n = np.rint(best_offset / unit - phase)
+    for i in range(len(points)):
+        index[i] = np.int64(np.rint(turns[i] - phase - n)) % len(values)
+    middle = np.float64(best_offset)
+    best = _lost(formula, sine, values, points, d, index, best_offset, best_cosine, len(points) + 1)
+    for t in range(-2 * tried, 2 * tried + 1):
+        offset = np.float32(middle + t * step * 4 / tried)
+        lost = _lost(formula, sine, values, points, d, index, offset, best_cosine, best)
+        if lost < best:
+            best, best_offset = lost, offset
+    sign = -1.0 if formula == VELODYNE else 1.0
+    return best, sign * best_offset, best_cosine
+
+
+@njit(cache=True, error_model="numpy")
+def _lost(formula, sine, values, points, d, index, offset, cos_e, most):  # type: ignore[no-untyped-def]
+    """Points whose x and y do not come back; counted no further than ``most``."""
+    a, b = offset, np.float32(0.0)
+    if formula == VELODYNE:
+        a, b = cosine32(sine, -offset), sine32(sine, -offset)
+    lost = 0
+    for i in range(len(points)):
+        if formula == VELODYNE:
+            u, v = velodyne.bearing(values, index[i], a, b)
+        else:
+            u, v = hesai.bearing(sine, values, index[i], a)
+        rho = np.float32(d[i] * cos_e)
+        if np.float32(rho * u) != points[i, 0] or np.float32(rho * v) != points[i, 1]:
+            lost += 1
+            if lost >= most:
+                return lost
+    return lost
