@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,11 @@ def calibrate_log(log: Path, at_most: int, name: str, topics: tuple[str, ...] = 
         fit = fit_sensor(kept, name, rounded)
     except SensorError as error:
         raise SensorError(f"{log}: {error}") from error
-    return Calibration(fit, len(kept), len(listed) - len(kept), share_exact(fit) if rounded else None)
+    if not rounded:
+        return Calibration(fit, len(kept), len(listed) - len(kept), None)
+    exact = share_exact(fit)
+    fit = replace(fit, model=replace(fit.model, bit_identical_share=round(exact, 6)))
+    return Calibration(fit, len(kept), len(listed) - len(kept), exact)
 
 
 def summary(found: Calibration) -> list[str]:
@@ -88,6 +92,10 @@ def summary(found: Calibration) -> list[str]:
     ]
     if fit.moved:
         lines.append(f"motion during the turn: undone in {fit.moved} scans")
+    if model.driver is not None:
+        lines.append(f"driver: {model.driver.formula}, sines {model.driver.sine}")
+    if model.bit_identical_share is not None:
+        lines.append(f"bit_identical_share: {model.bit_identical_share:.4%} of all returns")
     if found.exact is not None:
         lines.append(f"gives {found.exact:.2%} of the points back to the millimetre")
     return lines
@@ -155,12 +163,13 @@ def _spread(things: list[Any], at_most: int) -> list[Any]:
 def _raw(scan: Listed) -> Listed | None:
     """The points of a scan as whole millimetres, KITTI's motion undone; None where that cannot be done."""
     points = scan.points.astype(np.float32)
-    if len(points) < _LEAST_FOR_MOTION or not np.isfinite(points).all():
+    if not np.isfinite(points).all() or np.count_nonzero(points.any(axis=1)) < _LEAST_FOR_MOTION:
         return None
     motion = None
-    if not is_raw(points):
+    returns = points[points.any(axis=1)]  # what is no return lies on any lattice
+    if not is_raw(returns):
         try:
-            motion = solve_motion(points)
+            motion = solve_motion(returns)
         except np.linalg.LinAlgError:  # nothing like a turn of a sensor
             return None
         if motion is None:

@@ -7,13 +7,14 @@ none of these steps still gets a model of fine ones: then directions are known t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError
 from salpcc.stages.ingest.aim import aim
+from salpcc.stages.ingest.find_driver import find_driver, share_identical
 from salpcc.stages.ingest.find_lasers import Listed, find_lasers
 from salpcc.stages.ingest.find_steps import find_count, find_ticks
 from salpcc.stages.ingest.fit_laser import fit_laser
@@ -22,11 +23,12 @@ from salpcc.stages.ingest.list_motion import fit_cones, places, solve, undo
 from salpcc.stages.ingest.sensor_model import SensorModel
 
 _MOST_POINTS = 150_000  # per laser
-_LEAST_POINTS = 200
+_LEAST_POINTS = 50
 _REASSIGNED = 0.01  # metres from another laser's cone
 _WORTH_IT = 0.5  # of the misfit of the cones, that undoing a motion leaves
 _EXPLAINED = 0.02  # metres
 _LEAST_EXPLAINED, _LEAST_LASERS = 0.5, 0.7  # of the returns, and of the lasers, of any scan
+_HOLDS, _CLOSE = 0.8, 0.002  # of all returns, whosever; metres
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -99,6 +101,9 @@ def fit_sensor(scans: Sequence[Listed], name: str, rounded: bool) -> Fit:
     model = SensorModel(name, ticks, count, theta, z0, h, phi0, d0, find_shifts(model, aimed, laser))
     off = [a[3][k >= 0] for a, k in zip(aimed, laser, strict=True)]
     _check(off, laser, len(good))
+    _check_all(off, kept)
+    if not rounded and not moved:
+        model = _driven(model, raw, laser)
     return Fit(model, lasers - len(good), ticks_line, count_line, moved, raw, laser, np.concatenate(off))
 
 
@@ -178,6 +183,27 @@ def find_shifts(model: SensorModel, aimed: list[tuple[I64, I64, I64, F64]], lase
             together += spectra[:, k] * turn[(-shift[k] * np.arange(ticks)) % ticks]
         reference = together
     return shift
+
+
+def _driven(model: SensorModel, raw: list[F64], laser: list[I64]) -> SensorModel:
+    """Add the driver of the sensor, if one is found, and the share of all returns that comes back bit for bit."""
+    points = np.concatenate(raw).astype(np.float32)
+    found = find_driver(model, points, np.concatenate(laser))
+    if found is not None and share_identical(found, points) > share_identical(model, points):
+        aimed = [aim(found, q, k) for q, k in zip(raw, laser, strict=True)]
+        model = replace(found, shift=find_shifts(found, aimed, laser))
+    return replace(model, bit_identical_share=round(share_identical(model, points), 6))
+
+
+def _check_all(off: list[F64], scans: Sequence[Listed]) -> None:
+    """Refuse a model that holds for those points only that were given to its lasers."""
+    seen = sum(int(scan.seen.sum()) for scan in scans)
+    close = sum(int((distance <= _CLOSE).sum()) for distance in off)
+    if close < _HOLDS * seen:
+        raise SensorError(
+            f"only {close / seen:.0%} of all returns lie within {1000 * _CLOSE:g} mm of the lasers that were found: "
+            "the clouds are of two sensors, thinned, moved in a way that is not understood, or of a sensor that is not known"
+        )
 
 
 def _check(off: list[F64], laser: list[I64], lasers: int) -> None:

@@ -19,8 +19,10 @@ from salpcc.schemas.errors import SensorError
 MOST_LASERS = 256
 LEAST_POINTS = 500
 NEAREST = 0.7  # metres; less is no return, or the vehicle's own roof
+_NEAREST_NUMBERED = 0.05  # metres; where the sensor tells the laser, a roof is as good as a wall
 _LONGEST = 1 << 14  # points looked at for firings
 _FAR = 4.0  # metres; nearer points show where a laser sits instead of its elevation
+_FARTHEST = 0.75  # of the points are nearer than that in a small room, and must do
 _NARROW = (
     0.02  # of slopes within a laser; neighbours are 0.003 to 0.04 apart, but cones of moved scans are smeared
 )
@@ -48,7 +50,7 @@ class Listed:
         """Mark points that are returns: finite, not at the sensor."""
         with np.errstate(invalid="ignore", over="ignore"):
             reach = np.sqrt((self.points**2).sum(axis=1))
-            return (reach > NEAREST) & (reach < 1e4)
+            return (reach > (NEAREST if self.ring is None else _NEAREST_NUMBERED)) & (reach < 1e4)
 
 
 def find_lasers(scans: list[Listed]) -> tuple[list[NDArray[np.int64]], int]:
@@ -89,8 +91,9 @@ def _guesses(scans: list[Listed]) -> Iterator[tuple[list[NDArray[np.int64]], int
         common = int(np.bincount([int(k.max()) + 1 for k in found]).argmax())
         yield [k if k.max() + 1 == common else np.full(len(k), -1) for k in found], 0
     # Near points tell lasers that look down from their neighbours, unless the lasers sit far apart.
-    ways = [_by_elevation(scans, nearest) for nearest in (_FAR, _FAR / 2)]
-    yield min(ways, key=lambda found: _spread(scans, found, _FAR / 2, np.mean)), 0
+    far = _far(scans)
+    ways = [_by_elevation(scans, nearest) for nearest in (far, far / 2)]
+    yield min(ways, key=lambda found: _spread(scans, found, far / 2, np.mean)), 0
 
 
 def _kept(scan: Listed, laser: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -157,28 +160,48 @@ def _by_elevation(scans: list[Listed], nearest: float) -> list[NDArray[np.int64]
     ]
 
 
-def _slopes(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _far(scans: list[Listed]) -> float:
+    """How far away a point must be to tell a laser's elevation, metres."""
+    ground = np.concatenate([np.hypot(*scan.points[scan.seen, :2].T) for scan in scans])
+    return min(_FAR, float(np.quantile(ground, _FARTHEST)))
+
+
+def _slopes(points: NDArray[np.float64], nearest: float = NEAREST) -> NDArray[np.float64]:
     """z over the horizontal distance, NaN where there is no return."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         ground = np.hypot(points[:, 0], points[:, 1])
-        return np.where(ground > NEAREST, points[:, 2] / ground, np.nan)
+        return np.where(ground > nearest, points[:, 2] / ground, np.nan)
 
 
 def _spread(
     scans: list[Listed],
     found: list[NDArray[np.int64]],
-    nearest: float = _FAR,
+    nearest: float | None = None,
     over: Callable[[list[float]], np.floating[Any]] = np.median,
 ) -> float:
     """Median (or another summary) over the lasers of how far half of the slopes of a laser's points reach."""
-    slopes, lasers = [], []
+    slopes, lasers, grounds = [], [], []
+    nearest = _far(scans) if nearest is None else nearest
     for scan, laser in zip(scans, found, strict=True):
         ok = (laser >= 0) & (np.nan_to_num(np.hypot(*scan.points[:, :2].T)) > nearest)
-        slopes.append(_slopes(scan.points)[ok])
+        slopes.append(_slopes(scan.points, min(nearest, NEAREST))[ok])
+        grounds.append(np.hypot(*scan.points[ok, :2].T))
         lasers.append(laser[ok])
-    slope, laser = np.concatenate(slopes), np.concatenate(lasers)
+    slope, laser, ground = np.concatenate(slopes), np.concatenate(lasers), np.concatenate(grounds)
     if not len(slope):
         return np.inf
-    order = np.lexsort((slope, laser))
-    parts = np.split(slope[order], np.flatnonzero(np.diff(laser[order])) + 1)
-    return float(over([p[3 * len(p) // 4] - p[len(p) // 4] for p in parts]))
+    parts = [slope[laser == k] for k in np.unique(laser)]
+    if nearest < _FAR / 2:  # so near, a laser's own height is most of its slopes
+        parts = [_levelled(part, rho) for part, rho in zip(parts, [ground[laser == k] for k in np.unique(laser)], strict=True)]
+    return float(over([float(np.subtract(*np.quantile(part, (0.75, 0.25)))) for part in parts]))
+
+
+def _levelled(slope: NDArray[np.float64], ground: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Slopes of one laser at horizontal distances, without what its height adds."""
+    inverse = 1.0 / ground
+    middle = np.median(inverse)
+    near, far = inverse > middle, inverse < middle
+    if not near.any() or not far.any():
+        return slope
+    height = (np.median(slope[near]) - np.median(slope[far])) / (np.median(inverse[near]) - np.median(inverse[far]))
+    return np.asarray(slope - height * inverse)

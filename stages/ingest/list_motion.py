@@ -105,6 +105,13 @@ def solve(points: F64, laser: I64, s: F64, lasers: int, ticks: int = 0, count: f
     Args:
         ticks, count: the sensor's steps; 0 where they are not known.
     """
+    try:
+        return _solved(points, laser, s, lasers, ticks, count)
+    except np.linalg.LinAlgError:  # nothing like a turn of a sensor
+        return None
+
+
+def _solved(points: F64, laser: I64, s: F64, lasers: int, ticks: int, count: float) -> Solved | None:
     ok = (laser >= 0) & (np.hypot(points[:, 0], points[:, 1]) > _NEAREST)
     points, laser, s = points[ok], laser[ok], s[ok]
     if len(points) < _SAMPLE // 10:

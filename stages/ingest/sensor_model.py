@@ -40,6 +40,7 @@ class SensorModel:
         d0: range offset, m.
         shift: ticks between the common firing and the laser's own azimuth, ``(L,)`` int64.
         driver: the arithmetic that makes points of ticks and counts to the bit, where it is known.
+        bit_identical_share: of the returns that it was fitted to, those that it gives back bit for bit, where that was counted.
     """
 
     name: str
@@ -52,6 +53,7 @@ class SensorModel:
     d0: NDArray[np.float64]
     shift: NDArray[np.int64]
     driver: Driver | None = None
+    bit_identical_share: float | None = None
 
     def __repr__(self) -> str:
         return f"SensorModel({self.name!r}, {self.n_lasers} lasers)"
@@ -82,6 +84,8 @@ class SensorModel:
         document |= {name: getattr(self, name).tolist() for name in _PER_LASER}
         if self.driver is not None:
             document["driver"] = self.driver.to_document()
+        if self.bit_identical_share is not None:
+            document["bit_identical_share"] = self.bit_identical_share
         lines = [f"{json.dumps(k)}:{json.dumps(v, separators=(',', ':'))}" for k, v in document.items()]
         return "{" + ",\n".join(lines) + "}\n"
 
@@ -102,6 +106,7 @@ class SensorModel:
                 count=float(document["count"]),
                 shift=np.array([int(value) for value in document["shift"]], np.int64),
                 driver=Driver.from_document(document["driver"]) if document.get("driver") else None,
+                bit_identical_share=_optional(document.get("bit_identical_share")),
                 **{name: np.array([float(v) for v in document[name]], np.float64) for name in _PER_LASER},
             )
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
@@ -122,6 +127,10 @@ class SensorModel:
         if not sound:
             raise SensorError(f"sensor model {model.name!r} has values out of range")
         return model
+
+
+def _optional(value: object) -> float | None:
+    return None if value is None else float(str(value))
 
 
 def load_sensor(name: str | Path) -> SensorModel:
