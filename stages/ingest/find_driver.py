@@ -88,7 +88,9 @@ def share_identical(model: SensorModel, points: F32) -> float:
         returns = points[np.abs(points).max(axis=1, initial=0.0) > 0]
     laser, tick, count, _ = aim(model, returns.astype(np.float64))
     seen = laser >= 0
-    back = driven(model, laser[seen].astype(np.uint8), tick[seen].astype(np.int32), count[seen].astype(np.float64))
+    back = driven(
+        model, laser[seen].astype(np.uint8), tick[seen].astype(np.int32), count[seen].astype(np.float64)
+    )
     same = back.astype(np.float32).view(np.int32) == returns[seen].view(np.int32)
     return float(same.all(axis=1).sum() / max(len(returns), 1))
 
@@ -142,7 +144,7 @@ def _around(value: np.float32, ulps: int) -> F32:
 def _search(formula, sine, values, points, d, turns, phase, cosines, few, widest, tried):  # type: ignore[no-untyped-def]
     """Return the fewest points lost, and the offset and cosine that lose them; offsets of few indices come first."""
     few = min(few, len(points))
-    best, best_offset, best_cosine = few + 1, 0.0, cosines[0]
+    best, best_offset, best_cosine = few + 1, np.float32(0.0), cosines[0]
     index = np.empty(len(points), np.int64)
     unit = 2.0 * np.pi / len(values)
     step = 2.0 * _WINDOW / tried
@@ -167,10 +169,10 @@ def _search(formula, sine, values, points, d, turns, phase, cosines, few, widest
     n = np.rint(best_offset / unit - phase)
     for i in range(len(points)):
         index[i] = np.int64(np.rint(turns[i] - phase - n)) % len(values)
-    middle = np.float64(best_offset)
+    centre = np.float64(best_offset)
     best = _lost(formula, sine, values, points, d, index, best_offset, best_cosine, len(points) + 1)
     for t in range(-2 * tried, 2 * tried + 1):
-        offset = np.float32(middle + t * step * 4 / tried)
+        offset = np.float32(centre + t * step * 4 / tried)
         lost = _lost(formula, sine, values, points, d, index, offset, best_cosine, best)
         if lost < best:
             best, best_offset = lost, offset

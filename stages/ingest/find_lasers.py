@@ -192,7 +192,10 @@ def _spread(
         return np.inf
     parts = [slope[laser == k] for k in np.unique(laser)]
     if nearest < _FAR / 2:  # so near, a laser's own height is most of its slopes
-        parts = [_levelled(part, rho) for part, rho in zip(parts, [ground[laser == k] for k in np.unique(laser)], strict=True)]
+        parts = [
+            _levelled(part, rho)
+            for part, rho in zip(parts, [ground[laser == k] for k in np.unique(laser)], strict=True)
+        ]
     return float(over([float(np.subtract(*np.quantile(part, (0.75, 0.25)))) for part in parts]))
 
 
@@ -203,5 +206,7 @@ def _levelled(slope: NDArray[np.float64], ground: NDArray[np.float64]) -> NDArra
     near, far = inverse > middle, inverse < middle
     if not near.any() or not far.any():
         return slope
-    height = (np.median(slope[near]) - np.median(slope[far])) / (np.median(inverse[near]) - np.median(inverse[far]))
+    height = (np.median(slope[near]) - np.median(slope[far])) / (
+        np.median(inverse[near]) - np.median(inverse[far])
+    )
     return np.asarray(slope - height * inverse)

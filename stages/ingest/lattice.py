@@ -112,9 +112,7 @@ def place_point(
 ) -> tuple[float, float, float]:
     """Point in metres of a return, by the driver if there is one (:data:`NO_DRIVER`: by the model)."""
     if driver[0] == NO_FORMULA:
-        return model_point(
-            tick, count, parameters[laser], constants[laser], count_size, sines, cosines
-        )
+        return model_point(tick, count, parameters[laser], constants[laser], count_size, sines, cosines)
     x, y, z = driver_point(driver, laser, tick, count, count_size)
     return np.float64(x), np.float64(y), np.float64(z)
 

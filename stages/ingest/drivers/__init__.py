@@ -56,7 +56,13 @@ class Driver:
     def tables(self) -> Tables:
         """What :func:`driver_point` wants."""
         formula, sine = list(FORMULAS).index(self.formula), SINES.index(self.sine)
-        return formula, sine, self.single, FORMULAS[self.formula].table(sine), np.ascontiguousarray(self.lasers)
+        return (
+            formula,
+            sine,
+            self.single,
+            FORMULAS[self.formula].table(sine),
+            np.ascontiguousarray(self.lasers),
+        )
 
     def to_document(self) -> dict[str, Any]:
         """As JSON: float32 values by the shortest decimals that read back as they."""
@@ -74,11 +80,11 @@ class Driver:
         Raises:
             ValueError, KeyError, TypeError: it is none.
         """
-        lasers = np.array([[float(v) for v in laser] for laser in document["lasers"]], np.float32)
+        lasers = np.array([[float(v) for v in laser] for laser in document["lasers"]])
         sound = lasers.ndim == 2 and lasers.shape[1] == _ROWS and bool((np.abs(lasers) < 10.0).all())
         if document["formula"] not in FORMULAS or document["sine"] not in SINES or not sound:
             raise ValueError("a driver that is not known")
-        return cls(document["formula"], document["sine"], bool(document["single"]), lasers)
+        return cls(document["formula"], document["sine"], bool(document["single"]), lasers.astype(np.float32))
 
 
 NO_DRIVER: Tables = (NO_FORMULA, 0, False, np.zeros((1, 2), np.float32), np.zeros((1, _ROWS), np.float32))

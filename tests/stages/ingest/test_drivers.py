@@ -1,0 +1,185 @@
+"""Drivers: formulas against plain NumPy, found near a fitted model, and points that need no corrections."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import njit
+
+from salpcc.schemas.errors import SensorError
+from salpcc.stages.ingest.calibrate import fit_sensor
+from salpcc.stages.ingest.drivers import FORMULAS, SINES, Driver
+from salpcc.stages.ingest.drivers.sines import cosine32, sine32
+from salpcc.stages.ingest.find_driver import share_identical
+from salpcc.stages.ingest.find_lasers import Listed
+from salpcc.stages.ingest.lattice import driven
+from salpcc.stages.ingest.sensor_model import SENSORS, SensorModel
+from salpcc.stages.residual_code.stray_coder import decode_strays, encode_strays, plan
+
+LASERS, FIRINGS = 8, 900
+F = np.float32
+
+
+@njit
+def _sines(kind, angles):
+    both = np.empty((len(angles), 2), np.float32)
+    for i, a in enumerate(angles):
+        both[i, 0], both[i, 1] = sine32(kind, a), cosine32(kind, a)
+    return both
+
+
+@pytest.mark.parametrize("kind", range(len(SINES)))
+def test_sines_are_within_a_bit(kind: int) -> None:
+    angles = np.random.default_rng(0).uniform(-7, 7, 20_000).astype(F)
+    got = _sines(kind, angles)
+    wanted = np.array([(math.sin(a), math.cos(a)) for a in angles.astype(float)]).astype(F)
+    off = np.abs(got.view(np.int32) - wanted.view(np.int32))
+    assert off.max() == kind
+    assert (off > 0).mean() <= 0.03 * kind
+
+
+def turn(formula: str, single: bool) -> tuple[np.ndarray, np.ndarray, float]:
+    """Points ``(N, 3)`` of a room, by the formula in NumPy, their lasers, and metres per count."""
+    rng = np.random.default_rng(LASERS)
+    unit = 0.004
+    elevation, offset = np.radians(np.linspace(-14, 12, LASERS)), np.radians(np.linspace(-3.1, 2.7, LASERS))
+    laser, firing = np.tile(np.arange(LASERS), FIRINGS), np.repeat(np.arange(FIRINGS), LASERS)
+    index = (firing * 40 + rng.integers(0, 3, FIRINGS)[firing]) % 36_000
+    wall = 9.0 + 4.0 * np.sin(firing / FIRINGS * 6 * np.pi) + 3.0 * (firing // 90 % 2)
+    count = np.rint((wall + rng.normal(0, 0.02, len(laser))) / unit)
+    d = count.astype(F) * F(unit) if single else (count * unit).astype(F)
+    e, o = elevation.astype(F)[laser], offset.astype(F)[laser]
+    rho = d * np.cos(e.astype(float)).astype(F)
+    z = d * np.sin(e.astype(float)).astype(F)
+    if formula == "hesai":
+        a = ((index * 0.01 * np.pi / 180).astype(F) + o).astype(float)
+        return np.stack([rho * np.sin(a).astype(F), rho * np.cos(a).astype(F), z], axis=1), laser, unit
+    a = ((index.astype(F) * F(0.01)).astype(float) * np.pi / 180).astype(F).astype(float)
+    c, s, cr, sr = (f(v).astype(F) for v in (a, o.astype(float)) for f in (np.cos, np.sin))
+    return np.stack([rho * (c * cr + s * sr), -(rho * (s * cr - c * sr)), z], axis=1), laser, unit
+
+
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("formula", sorted(FORMULAS))
+def test_calibration_finds_the_driver(formula: str, single: bool) -> None:
+    points, laser, unit = turn(formula, single)
+    fit = fit_sensor([Listed(points.astype(np.float64), laser)], "x", rounded=False)
+    driver = fit.model.driver
+    assert driver is not None
+    assert (driver.formula, driver.sine, driver.single) == (formula, "rounded", single)
+    assert fit.model.bit_identical_share > 0.995
+    assert fit.model.count == unit
+    again = SensorModel.from_json(fit.model.to_json())
+    assert again.to_json() == fit.model.to_json()
+    assert share_identical(again, points) == pytest.approx(fit.model.bit_identical_share, abs=1e-6)
+    plain = replace(fit.model, driver=None)
+    sizes = [len(encode_strays(np.arange(len(points)), plan(points, 0.0, m))) for m in (again, plain)]
+    assert sizes[0] < 0.65 * sizes[1]
+    for bound in (0.0, 0.01):
+        data = encode_strays(np.arange(len(points)), plan(points, bound, again, settled=bound == 0.0))
+        _, back, sound = decode_strays(len(points), bound, np.frombuffer(bytearray(data), np.uint8), again)
+        assert sound
+        assert np.linalg.norm(back.astype(np.float64) - points, axis=1).max() <= bound
+
+
+_SCRIPT = """
+import sys, zlib, numpy as np
+from salpcc.stages.ingest.lattice import driven
+from salpcc.stages.ingest.sensor_model import SensorModel
+sensor = SensorModel.from_json(sys.argv[1])
+at = np.arange(0, 36000, 7, dtype=np.int32)
+points = driven(sensor, (at % 3).astype(np.uint8), at, at * 1.5)
+print(zlib.crc32(points.tobytes()))
+"""
+
+
+@pytest.mark.parametrize("sine", SINES)
+@pytest.mark.parametrize("formula", sorted(FORMULAS))
+def test_a_plain_processor_gives_the_same(formula: str, sine: str, tmp_path: Path) -> None:
+    """Kernels compiled for no particular processor (no FMA) make the same bits."""
+    numbers = [FORMULAS[formula].row(SINES.index(sine), F(o)) for o in (-0.02, 0.0, 0.013)]
+    lasers = np.array([(0.9, 0.43588990, *row) for row in numbers], F)
+    zero = np.zeros(3)
+    sensor = SensorModel(
+        "x",
+        36_000,
+        0.002,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero.astype(np.int64),
+        Driver(formula, sine, True, lasers),
+    )
+    environment = os.environ | {
+        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+    }
+    said = []
+    for env in (dict(os.environ), environment):
+        done = subprocess.run(
+            [sys.executable, "-c", _SCRIPT, sensor.to_json()],
+            env=env,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout)
+    assert said[0] == said[1]
+
+
+def test_models_without_a_driver_are_as_they_were() -> None:
+    text = (SENSORS / "hdl64e.json").read_text()
+    model = SensorModel.from_json(text)
+    assert model.driver is None
+    assert model.to_json() == text
+    at = np.zeros(1, np.int32)
+    assert (driven(model, at.astype(np.uint8), at, at + 100.0) != 0).any()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"formula": "nobody's"},
+        {"sine": "x"},
+        {"lasers": [[1, 0, 0]]},
+        {"lasers": []},
+        {"lasers": [[1e99, 0, 0, 0]]},
+    ],
+)
+def test_damaged_drivers_are_refused(change: dict) -> None:
+    model = SensorModel.from_json((SENSORS / "hdl64e.json").read_text())
+    lasers = np.tile(np.array([1, 0, 1, 0], F), (model.n_lasers, 1))
+    sound = replace(model, ticks_per_turn=36_000, driver=Driver("velodyne", "rounded", True, lasers))
+    document = json.loads(sound.to_json())
+    document["driver"] |= change
+    with pytest.raises(SensorError):
+        SensorModel.from_json(json.dumps(document))
+
+
+def test_two_sensors_in_one_cloud_are_refused() -> None:
+    """Most points of a cloud of two sensors lie on no laser of what is found; nothing is claimed then."""
+    one, laser, _ = turn("velodyne", True)
+    other = one[::-1] @ np.array([[0.96, 0.28, 0], [-0.28, 0.96, 0], [0, 0, 1]]) + (1.1, 0.2, 0.55)
+    both = np.concatenate([one, other.astype(F)]).astype(np.float64)
+    with pytest.raises(SensorError):
+        fit_sensor([Listed(both, np.concatenate([laser, laser[::-1]]))], "x", rounded=False)
+
+
+def test_a_small_room_and_voids_are_no_reason_to_refuse() -> None:
+    points, laser, _ = turn("hesai", False)
+    order = np.argsort(laser, kind="stable")
+    rows = (points[order] / F(4.0)).astype(np.float64)  # nothing beyond 4 m
+    rows[np.random.default_rng(0).random(len(rows)) < 0.7] = 0.0
+    found = fit_sensor([Listed(rows, laser[order], FIRINGS)], "x", rounded=False)
+    assert found.model.n_lasers == LASERS
+    assert found.share_within(0.001) > 0.99
