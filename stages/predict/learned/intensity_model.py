@@ -127,7 +127,7 @@ def _ring(  # type: ignore[no-untyped-def]
             else:
                 value, cum = find_value(freq, total, decode_target(state, BITS))
             low = (cum << BITS) // total
-            high = ((cum + freq[value % ROWS * LANES + value // ROWS]) << BITS) // total
+            high = ((cum + int(freq[value % ROWS * LANES + value // ROWS])) << BITS) // total
             if mode == PREDICT:
                 intervals[lo + i, 0] = low
                 intervals[lo + i, 1] = high - low

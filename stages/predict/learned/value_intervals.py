@@ -69,7 +69,7 @@ def value_start(freq: I32, value: int) -> int:
     lane, last = np.uint64(value) // np.uint64(ROWS), value % ROWS
     below = int(freq[np.uint64(ROWS * LANES) + lane])
     for row in range(last, ROWS):
-        below -= freq[np.uint64(row * LANES) + lane]
+        below -= int(freq[np.uint64(row * LANES) + lane])
     return below
 
 
@@ -81,10 +81,10 @@ def find_value(freq: I32, total: int, target: int) -> tuple[int, int]:
     at = np.uint64(lane)
     below = int(freq[np.uint64(ROWS * LANES) + at])
     for row in range(ROWS):
-        below -= freq[np.uint64(row * LANES) + at]
+        below -= int(freq[np.uint64(row * LANES) + at])
     value, start = ROWS * lane, below
     for row in range(ROWS - 1):
-        below += freq[np.uint64(row * LANES) + at]
+        below += int(freq[np.uint64(row * LANES) + at])
         if below <= wanted:
             value, start = ROWS * lane + row + 1, below
     return value, start

@@ -11,6 +11,7 @@ import sys
 from hashlib import sha256
 from pathlib import Path
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
@@ -104,19 +105,28 @@ def test_encodes_to_the_same_bytes(name: str, tmp_path: Path) -> None:
     assert (tmp_path / name).read_bytes() == (GOLDEN / name).read_bytes(), "the container has changed"
 
 
-def test_a_plain_processor_gives_the_same(tmp_path: Path) -> None:
-    """Kernels compiled for no particular processor (no AVX, no FMA) against the bytes that this one wrote."""
+@pytest.mark.parametrize(
+    ("processor", "names"),
+    [("generic", ARCHIVES), ("x86-64-v3", ["default_exact.mcap"]), ("x86-64-v4", ["default_exact.mcap"])],
+)
+def test_other_processors_give_the_same(processor: str, names: list[str], tmp_path: Path) -> None:
+    """Kernels compiled for no particular processor (no AVX, no FMA), for AVX2 and for AVX-512 against the golden bytes."""
+    needed = {"x86-64-v3": ("avx2", "fma"), "x86-64-v4": ("avx512bw", "avx512dq", "avx512vl")}.get(
+        processor, ()
+    )
+    if not all(llvm.get_host_cpu_features().get(feature) for feature in needed):
+        pytest.skip(f"this machine cannot run code for {processor}")
     environment = os.environ | {
-        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_NAME": processor,
         "NUMBA_CPU_FEATURES": "",
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
     }
-    command = [sys.executable, "-c", _SCRIPT, *(str(GOLDEN / name) for name in ARCHIVES)]
+    command = [sys.executable, "-c", _SCRIPT, *(str(GOLDEN / name) for name in names)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     expected = [
         f"{name} {scan} {facts['points']} same"
-        for name in ARCHIVES
+        for name in names
         for scan, facts in EXPECTED["archives"][name].items()
     ]
     assert done.stdout.splitlines() == expected
