@@ -13,7 +13,6 @@ import typer
 
 from salpcc.pipeline import cli_archive, cli_data, cli_log, cli_map, cli_run, cli_train
 from salpcc.pipeline.progress import STDERR
-from salpcc.pipeline.store import TOOL
 from salpcc.schemas.errors import LogWarning, SalpccError, UsageError
 from salpcc.schemas.files import unreachable, why
 
@@ -49,6 +48,8 @@ cli_data.register(app)
 
 def _version(wanted: bool) -> None:
     if wanted:
+        from salpcc.pipeline.store import TOOL
+
         typer.echo(TOOL)
         raise typer.Exit
 

@@ -7,24 +7,21 @@ import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.cli_run import PLACE, parse_frames
-from salpcc.pipeline.export import EXPORTS, Export
-from salpcc.pipeline.inspect import inspect as describe
-from salpcc.pipeline.laz_export import to_laz
 from salpcc.pipeline.progress import STDERR
-from salpcc.pipeline.recover import recover as recover_archive
-from salpcc.pipeline.verify import verify as verify_archive
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location
-from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.sensor_model import load_sensor
+
+if TYPE_CHECKING:
+    from salpcc.pipeline.archive import Archive
+    from salpcc.pipeline.export import Export
+    from salpcc.schemas.scan import Scan
 
 Path_ = Annotated[
     Path,
@@ -48,7 +45,7 @@ def register(app: typer.Typer) -> None:
 
 def decode(
     archive: Path_,
-    to: Annotated[str, typer.Option(help=" | ".join(EXPORTS))],
+    to: Annotated[str, typer.Option(help="kitti | mcap | bag | ply | laz")],
     out: Annotated[Path, typer.Option(parser=location, metavar=PLACE, help="Where the scans are written")],
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
     crs: Annotated[
@@ -57,6 +54,10 @@ def decode(
     threads: Threads = None,
 ) -> None:
     """Turn an archive back into scans, bit for bit where it was made so."""
+    from salpcc.pipeline.archive import Archive
+    from salpcc.pipeline.export import EXPORTS
+    from salpcc.pipeline.laz_export import to_laz
+
     if to not in EXPORTS:
         raise UsageError(f"--to {to}: choose from {', '.join(EXPORTS)}")
     if crs and to != "laz":
@@ -103,6 +104,8 @@ def verify(
     threads: Threads = None,
 ) -> None:
     """Check every checksum and decode everything; with --against, compare with the source."""
+    from salpcc.pipeline.verify import verify as verify_archive
+
     verdict = verify_archive(archive, against, threads or _cores())
     if json_:
         typer.echo(json.dumps(verdict.as_dict(), indent=1))
@@ -139,6 +142,9 @@ def recover(
     json_: Json = False,
 ) -> None:
     """Save every scan that is whole from a truncated or damaged archive, and name the others."""
+    from salpcc.pipeline.recover import recover as recover_archive
+    from salpcc.stages.ingest.sensor_model import load_sensor
+
     found = recover_archive(archive, out, load_sensor(sensor) if sensor else None)
     if json_:
         typer.echo(json.dumps(found.as_dict(), indent=1))
@@ -160,6 +166,8 @@ def inspect(
     json_: Json = False,
 ) -> None:
     """Show what is in an archive or a shard, without decoding it."""
+    from salpcc.pipeline.inspect import inspect as describe
+
     found = describe(path)
     if json_:
         typer.echo(json.dumps(found, indent=1, default=str))

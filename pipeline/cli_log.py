@@ -30,13 +30,9 @@ from salpcc.pipeline.cli_run import (
     parse_frames,
     stages_of,
 )
-from salpcc.pipeline.run import RunRequest
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location
 from salpcc.schemas.work import STAGES
-from salpcc.stages.evaluate.baselines import names as baseline_names
-from salpcc.stages.ingest.sources.bag import Bag
 
 
 def register(app: typer.Typer) -> None:
@@ -82,6 +78,11 @@ def log(
     json_: Json = False,
 ) -> None:
     """Encode the point clouds of a log, keep its other topics as they are, measure, report."""
+    from salpcc.pipeline.run import RunRequest
+    from salpcc.schemas.file_kind import kind_of
+    from salpcc.stages.evaluate.baselines import names as baseline_names
+    from salpcc.stages.ingest.sources.bag import Bag
+
     if not file.exists():
         raise UsageError(f"{file}: not found. {Bag.hint}")
     names = Bag().sequences(file)

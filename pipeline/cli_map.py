@@ -17,7 +17,6 @@ from rich.table import Table
 
 from salpcc.pipeline.cli_run import Scheduler, Workers
 from salpcc.schemas.errors import UsageError
-from salpcc.stages.mapping.cleaners import CLEANERS as RIVALS
 from salpcc.stages.mapping.open3d_library import load_open3d
 
 Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE", help="Archives of one drive, in order")]
@@ -64,9 +63,7 @@ def map_(
     against: Annotated[
         Path | None, typer.Option(help="Data root with labels; scores the map by them")
     ] = None,
-    rivals: Annotated[
-        str, typer.Option(help=f"Public cleaners to score beside: {', '.join(RIVALS)}")
-    ] = "none",
+    rivals: Annotated[str, typer.Option(help="Public cleaners to score beside: dufomap")] = "none",
     workers: Workers = None,
     scheduler: Scheduler = None,
     keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,

@@ -8,7 +8,7 @@ import shlex
 import shutil
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from pydantic import ValidationError
@@ -16,16 +16,16 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.progress import STDERR
-from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.schemas.config import UNBOUNDED, Coder, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location
 from salpcc.schemas.manifest import Manifest, expand_sequences, load_manifest
 from salpcc.schemas.work import STAGES
-from salpcc.stages.evaluate.baselines import names as baseline_names
-from salpcc.stages.ingest.sources import SOURCES
+
+if TYPE_CHECKING:
+    from salpcc.pipeline.graph import GraphOptions
+    from salpcc.pipeline.run import RunRequest, RunResult
 
 app = typer.Typer(help="Encode recorded scans to archives and report what it cost.", no_args_is_help=True)
 DEFAULT_MANIFEST = Path("data_manifest.yaml")
@@ -69,7 +69,9 @@ def sequences(
     ] = None,
     out: Out = Path("out"),
     manifest: Annotated[Path, typer.Option(help="Sources, sequences, splits")] = DEFAULT_MANIFEST,
-    source: Annotated[str, typer.Option(help=f"{' | '.join(SOURCES)}")] = "semantickitti",
+    source: Annotated[
+        str, typer.Option(help="semantickitti | kitti_raw | simulated | bag")
+    ] = "semantickitti",
     profile: Annotated[Profile, typer.Option(help="sensor lattice, or the paper's grid")] = "sensor",
     max_error: Annotated[
         float | None,
@@ -107,6 +109,10 @@ def sequences(
     json_: Json = False,
 ) -> None:
     """Encode sequences of scans, decode them again, measure, report."""
+    from salpcc.pipeline.run import RunRequest
+    from salpcc.stages.evaluate.baselines import names as baseline_names
+    from salpcc.stages.ingest.sources import SOURCES
+
     if source not in SOURCES:
         raise UsageError(f"--source {source}: choose from {', '.join(SOURCES)}")
     if tmc3 is not None:
@@ -177,6 +183,8 @@ def config_of(**values: object) -> RunConfig:
 
 def stages_of(first: str | None, last: str, keep: bool, overwrite: bool) -> GraphOptions:
     """Check how far a run goes."""
+    from salpcc.pipeline.graph import GraphOptions
+
     for option, stage in (("--from", first), ("--to", last)):
         if stage is not None and stage not in STAGES:
             raise UsageError(f"{option} {stage}: choose from {', '.join(STAGES)}")
@@ -187,6 +195,8 @@ def stages_of(first: str | None, last: str, keep: bool, overwrite: bool) -> Grap
 
 def execute(request: RunRequest, json_: bool) -> None:
     """Run, print what it gave, leave with its exit code."""
+    from salpcc.pipeline.run import run_sequences
+
     result = run_sequences(request)
     _show(result, request.out, json_)
     raise typer.Exit(1 if result.failed else 0)

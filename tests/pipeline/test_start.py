@@ -1,0 +1,83 @@
+"""What a command does not need, it does not load: the compiler and the libraries behind it take seconds."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+from salpcc.pipeline.export import EXPORTS
+from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.mapping.cleaners import CLEANERS
+
+HEAVY = [
+    "numpy",
+    "scipy",
+    "numba",
+    "llvmlite",
+    "torch",
+    "pyarrow",
+    "dask",
+    "distributed",
+    "rosbags",
+    "laspy",
+    "matplotlib",
+]
+HELP = """
+import sys
+sys.argv = ["salpcc-pipeline", *{arguments!r}]
+from salpcc.pipeline.cli import main
+try:
+    main()
+except SystemExit as end:
+    assert not end.code, end.code
+"""
+LOADED = "\nprint('loaded', *sorted(name for name in sys.modules if '.' not in name))"
+
+
+def loaded(code: str) -> tuple[str, set[str]]:
+    """What some code prints, and the modules that are loaded afterwards."""
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys\n" + code + LOADED], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    shown, _, names = done.stdout.rpartition("loaded ")
+    return shown, set(names.split())
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import salpcc.pipeline",
+        HELP.format(arguments=["--help"]),
+        HELP.format(arguments=["run", "sequences", "--help"]),
+        HELP.format(arguments=["decode", "--help"]),
+        HELP.format(arguments=["map", "--help"]),
+    ],
+)
+def test_what_only_tells_loads_nothing_heavy(code: str) -> None:
+    _, names = loaded(code)
+    assert not names & set(HEAVY)
+
+
+def test_the_doors_open_when_they_are_used() -> None:
+    _, names = loaded(
+        "from salpcc.pipeline import Archive, Scan, encode_scans\nimport salpcc.pipeline as p\np.Archive"
+    )
+    assert "numba" in names
+    with pytest.raises(ImportError, match="Archives"):
+        from salpcc.pipeline import Archives  # noqa: F401
+
+
+@pytest.mark.parametrize(
+    ("arguments", "choices"),
+    [
+        (["run", "sequences", "--help"], SOURCES),
+        (["decode", "--help"], EXPORTS),
+        (["map", "--help"], CLEANERS),
+    ],
+)
+def test_help_names_every_choice(arguments: list[str], choices: dict[str, object]) -> None:
+    """They stand in the text of the command, so that telling them loads none of them."""
+    shown, _ = loaded(HELP.format(arguments=arguments))
+    assert set(choices) <= set(re.findall(r"\w+", shown))
