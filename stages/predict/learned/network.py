@@ -86,8 +86,8 @@ class Network:
 class Layers(NamedTuple):
     """The same weights as the kernels take them.
 
-    Widths are padded to multiples of BLOCK; pairs of inputs stand together: ``first`` is ``(inputs / 2, width * 2)``
-    int16, ``hidden`` ``(layers * width / 2, width * 2)``, ``last`` ``(width / 2, outputs * 2)``. Tables and biases
+    Widths are padded to multiples of BLOCK; weights stand as the sums are made, :func:`_in_blocks`: ``first`` is
+    ``(inputs / 2, width * 2)`` int16, ``hidden`` ``(layers * width / 2, width * 2)``, ``last`` ``(width / 2, outputs * 2)``. Tables and biases
     are int32; ``shifts`` the binary logarithms of the scales.
     """
 
@@ -150,12 +150,12 @@ def pack(network: Network, inputs: tuple[int, ...], places: tuple[int, ...]) -> 
     last_bias[:, places[: network.last.shape[1]]] = network.last_bias[:, : len(places)]
     hidden = np.split(network.hidden, len(network.hidden_bias))
     return Layers(
-        first=_in_pairs(first, width),
-        tables=_wide(network.tables, width),
-        hidden=aligned(np.concatenate([_in_pairs(_tall(weight, width), width) for weight in hidden])),
-        hidden_bias=_wide(network.hidden_bias, width),
-        last=_in_pairs(_tall(last, width), outputs),
-        last_bias=last_bias,
+        first=aligned(_in_blocks(first, width)),
+        tables=aligned(_wide(network.tables, width)),
+        hidden=aligned(np.concatenate([_in_blocks(_tall(weight, width), width) for weight in hidden])),
+        hidden_bias=aligned(_wide(network.hidden_bias, width)),
+        last=aligned(_in_blocks(_tall(last, width), outputs)),
+        last_bias=aligned(last_bias),
         shifts=np.log2(network.scales).astype(np.int32),
     )
 
@@ -172,12 +172,17 @@ def _tall(array: I32, height: int) -> I32:
     return np.pad(array, ((0, height - len(array)), (0, 0)))
 
 
-def _in_pairs(weight: I32, width: int) -> I16:
-    """``(inputs, outputs)`` as ``[pair of inputs][output][2]``."""
-    wide = _wide(weight, width)
-    return np.ascontiguousarray(
-        wide.reshape(-1, 2, width).transpose(0, 2, 1).reshape(-1, 2 * width), np.int16
-    )
+def _in_blocks(weight: I32, width: int) -> I16:
+    """``(inputs, outputs)`` as blocks of outputs, one behind the other, each ``[pair of inputs][output][2]``."""
+    wide = _wide(weight, width).astype(np.int16)
+    blocks, j = [], 0
+    while j < width:  # as _layer takes them
+        left = width - j
+        outputs = 64 if left % 64 == 0 else 48 if left >= 48 else 16
+        block = wide[:, j : j + outputs].reshape(-1, 2, outputs).transpose(0, 2, 1)
+        blocks.append(block.reshape(-1))
+        j += outputs
+    return np.concatenate(blocks).reshape(-1, 2 * width)
 
 
 def aligned(array: NDArray[Any]) -> NDArray[Any]:
@@ -193,18 +198,17 @@ def aligned(array: NDArray[Any]) -> NDArray[Any]:
 def _four_blocks(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
     s0, s1, s2, s3 = load(bias, b, 16), load(bias, b + 16, 16), load(bias, b + 32, 16), load(bias, b + 48, 16)
     t0 = t1 = t2 = t3 = spread(_ZERO, 16)  # of every second pair, so that no sum waits for the one before
-    row = weight.shape[1]
     for k in range(0, inputs, 4):
         first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
         s0 = s0 + dot(load(weight, w, 32), first)
-        t0 = t0 + dot(load(weight, w + row, 32), second)
+        t0 = t0 + dot(load(weight, w + 128, 32), second)
         s1 = s1 + dot(load(weight, w + 32, 32), first)
-        t1 = t1 + dot(load(weight, w + row + 32, 32), second)
+        t1 = t1 + dot(load(weight, w + 160, 32), second)
         s2 = s2 + dot(load(weight, w + 64, 32), first)
-        t2 = t2 + dot(load(weight, w + row + 64, 32), second)
+        t2 = t2 + dot(load(weight, w + 192, 32), second)
         s3 = s3 + dot(load(weight, w + 96, 32), first)
-        t3 = t3 + dot(load(weight, w + row + 96, 32), second)
-        w += 2 * row
+        t3 = t3 + dot(load(weight, w + 224, 32), second)
+        w += 256
     store(sums, j, s0 + t0)
     store(sums, j + 16, s1 + t1)
     store(sums, j + 32, s2 + t2)
@@ -215,16 +219,15 @@ def _four_blocks(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, su
 def _three_blocks(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
     s0, s1, s2 = load(bias, b, 16), load(bias, b + 16, 16), load(bias, b + 32, 16)
     t0 = t1 = t2 = spread(_ZERO, 16)  # of every second pair, so that no sum waits for the one before
-    row = weight.shape[1]
     for k in range(0, inputs, 4):
         first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
         s0 = s0 + dot(load(weight, w, 32), first)
-        t0 = t0 + dot(load(weight, w + row, 32), second)
+        t0 = t0 + dot(load(weight, w + 96, 32), second)
         s1 = s1 + dot(load(weight, w + 32, 32), first)
-        t1 = t1 + dot(load(weight, w + row + 32, 32), second)
+        t1 = t1 + dot(load(weight, w + 128, 32), second)
         s2 = s2 + dot(load(weight, w + 64, 32), first)
-        t2 = t2 + dot(load(weight, w + row + 64, 32), second)
-        w += 2 * row
+        t2 = t2 + dot(load(weight, w + 160, 32), second)
+        w += 192
     store(sums, j, s0 + t0)
     store(sums, j + 16, s1 + t1)
     store(sums, j + 32, s2 + t2)
@@ -234,12 +237,11 @@ def _three_blocks(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, s
 def _block(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
     s0 = load(bias, b, 16)
     t0 = spread(_ZERO, 16)  # of every second pair, so that no sum waits for the one before
-    row = weight.shape[1]
     for k in range(0, inputs, 4):
         first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
         s0 = s0 + dot(load(weight, w, 32), first)
-        t0 = t0 + dot(load(weight, w + row, 32), second)
-        w += 2 * row
+        t0 = t0 + dot(load(weight, w + 32, 32), second)
+        w += 64
     store(sums, j, s0 + t0)
 
 
@@ -252,13 +254,13 @@ def _layer(bias: I32, at: int, weight: I16, row: int, x: I16, inputs: int, sums:
     while j < outputs:
         left = outputs - j
         if left & 63 == 0:
-            _four_blocks(bias, at + j, weight, w + 2 * j, x, inputs, sums, j)
+            _four_blocks(bias, at + j, weight, w + inputs * j, x, inputs, sums, j)
             j += 64
         elif left >= 48:
-            _three_blocks(bias, at + j, weight, w + 2 * j, x, inputs, sums, j)
+            _three_blocks(bias, at + j, weight, w + inputs * j, x, inputs, sums, j)
             j += 48
         else:
-            _block(bias, at + j, weight, w + 2 * j, x, inputs, sums, j)
+            _block(bias, at + j, weight, w + inputs * j, x, inputs, sums, j)
             j += 16
 
 
