@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.ingest.lattice import place_point
 from salpcc.stages.ingest.untwist import moved
 from salpcc.stages.residual_code.aimed_neighbours import above_and_below, guess_inverse, link
@@ -31,7 +32,6 @@ from salpcc.stages.residual_code.aimed_symbols import (
     code_laser,
 )
 from salpcc.stages.residual_code.ray_forms import bucket_of, coordinate_of, whole_of
-from salpcc.stages.residual_code.residual_bits import code_number, size_of
 
 MAX_LEVEL = (1 << 20) - 1
 NAN_BITS = 0x7FC00000

@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.range_coder import new_bits
+from salpcc.stages.entropy.range_coder import new_bits
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_bit
 from salpcc.stages.residual_code.ray_forms import SPREADS
-from salpcc.stages.residual_code.residual_bits import PER_CONTEXT, SIZES, code_bit
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
 PREDICTORS = 8

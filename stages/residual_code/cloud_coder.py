@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layout, LayoutError
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.byte_coder import decode_bytes, encode_bytes
+from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.residual_code.field_coder import Points, decode_field, encode_field
 
 _WHOLE, _ROS1, _CHANNEL = 1, 2, 4

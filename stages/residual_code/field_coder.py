@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.column_coder import (
+from salpcc.stages.entropy.columns import (
     PREDICTORS,
     costs,
     decode_residuals,
     encode_residuals,
 )
-from salpcc.stages.residual_code.number_forms import (
+from salpcc.stages.entropy.number_forms import (
     BITS,
     DECIMAL,
     ORDERED,
@@ -31,7 +31,7 @@ from salpcc.stages.residual_code.number_forms import (
     to_bits,
     to_scale,
 )
-from salpcc.stages.residual_code.symbol_coder import decode_symbols, encode_symbols
+from salpcc.stages.entropy.symbols import decode_symbols, encode_symbols
 
 CONSTANT, RESIDUALS, SYMBOLS = range(3)
 _RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, period, length

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
+from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.ground_fit.grid_planes import PLANE_LIMIT, ground_of, predict_ground
 from salpcc.stages.ground_fit.grid_regions import REGIONS
 from salpcc.stages.predict.grid_prediction import FramePredictor, network_weights
 from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.rings import ring_starts
 from salpcc.stages.residual_code import class_coder, intensity_coder
-from salpcc.stages.residual_code.buffer import run_encoder
 from salpcc.stages.residual_code.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.grid_payload import (
     CLASSES,
@@ -30,9 +32,7 @@ from salpcc.stages.residual_code.grid_payload import (
     unpack,
 )
 from salpcc.stages.residual_code.image_coder import Images
-from salpcc.stages.residual_code.integer_coder import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.payload import Payload
-from salpcc.stages.residual_code.range_coder import new_bits
 from salpcc.stages.residual_code.stray_coder import decode_floats, encode_floats
 
 _NOTHING = np.zeros((ROWS, COLUMNS), np.int32)

@@ -13,9 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
+from salpcc.stages.entropy.mixing import code_bit, code_mixed_bit, odds
 from salpcc.stages.predict.grid_neighbours import BEFORE, GUESSES, guess
 from salpcc.stages.residual_code.grid_mixture import below, mix_guesses, share_beyond
-from salpcc.stages.residual_code.mixing import code_bit, code_mixed_bit, odds
 
 _NODES = 64
 _CLASSES = 24  # distances below 2 ** 24

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.residual_code.mixing import code_mixed_bit
+from salpcc.stages.entropy.mixing import code_mixed_bit
 
 _SIZES = np.array([1 << 11, 1 << 11, 1 << 12, 1 << 11, ROWS << 4])
 _FIRST = np.concatenate([np.zeros(1, np.int64), np.cumsum(_SIZES)])

@@ -10,8 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS
+from salpcc.stages.entropy.mixing import logistic
 from salpcc.stages.predict.grid_neighbours import GUESSES
-from salpcc.stages.residual_code.mixing import logistic
 
 
 @njit(cache=True, error_model="numpy")

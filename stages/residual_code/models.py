@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.intervals import encode_intervals
+from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
 from salpcc.stages.predict.learned.models import EFFORTS, LearnedModels, load_models
@@ -26,9 +29,6 @@ from salpcc.stages.predict.static.coder import (
 )
 from salpcc.stages.predict.static.tables import StaticTables, shipped
 from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
-from salpcc.stages.residual_code.buffer import run_encoder
-from salpcc.stages.residual_code.interval_coder import encode_intervals
-from salpcc.stages.residual_code.range_coder import new_bits
 
 Bytes = NDArray[np.uint8]
 Starts = NDArray[np.int64]

@@ -21,7 +21,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.range_coder import new_bits
+from salpcc.stages.entropy.range_coder import new_bits
+from salpcc.stages.entropy.residual_bits import (
+    PER_CONTEXT,
+    SIZES,
+    code_bit,
+    code_even,
+    code_number,
+    size_of,
+)
 from salpcc.stages.residual_code.ray_forms import (
     ALONG,
     BITS,
@@ -32,14 +40,6 @@ from salpcc.stages.residual_code.ray_forms import (
     coordinate_of,
     ray_of,
     whole_of,
-)
-from salpcc.stages.residual_code.residual_bits import (
-    PER_CONTEXT,
-    SIZES,
-    code_bit,
-    code_even,
-    code_number,
-    size_of,
 )
 
 NORMAL, ZERO, NAN, LOOSE = 0, 1, 2, 3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
 from salpcc.stages.residual_code.lanes import find_lanes
-from salpcc.stages.residual_code.range_coder import finish_encoder, start_decoder, start_encoder
 from salpcc.stages.residual_code.ray_coder import (
     F32,
     LOOSE,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.ingest.lattice import NO_CORRECTION, unproject
 from salpcc.stages.ingest.publish import (
     compensated_points,
@@ -22,7 +23,6 @@ from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_level
 from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.rings import ring_starts
 from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
-from salpcc.stages.residual_code.buffer import run_encoder
 from salpcc.stages.residual_code.logged_scan import (
     decode_logged,
     decode_stray_classes,

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.ingest.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.residual_code.aimed_strays import Motion, choose, read_body, write_body
 from salpcc.stages.residual_code.aimed_stream import Aimed, Way
 from salpcc.stages.residual_code.aimed_symbols import OFF
-from salpcc.stages.residual_code.buffer import run_encoder
-from salpcc.stages.residual_code.integer_coder import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.layout import find_layout
 from salpcc.stages.residual_code.ray_coder import F32, Layout
 from salpcc.stages.residual_code.ray_forms import ALONG, BITS, GRID

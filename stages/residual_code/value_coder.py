@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
+from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
+from salpcc.stages.entropy.residual_bits import code_bit
 from salpcc.stages.residual_code.ray_coder import Layout
-from salpcc.stages.residual_code.residual_bits import code_bit
 from salpcc.stages.residual_code.stray_coder import decode_floats, encode_floats
 
 UNITS = (1.0, 100.0, 255.0, 10.0, 1000.0, 256.0, 65535.0)  # numbers in a whole one

@@ -10,6 +10,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.range_coder import (
+    decode_interval,
+    decode_target,
+    start_decoder,
+)
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned.features import SCALE_BITS
 from salpcc.stages.predict.learned.intensity_features import (
@@ -45,11 +50,6 @@ from salpcc.stages.predict.learned.value_intervals import (
     value_start,
 )
 from salpcc.stages.predict.learned.vectors import kernel, load, push, spread, store
-from salpcc.stages.residual_code.range_coder import (
-    decode_interval,
-    decode_target,
-    start_decoder,
-)
 
 PREDICT, DECODE, COLLECT = 0, 1, 2
 _NO_INTERVALS = np.zeros((0, 2), np.uint32)

@@ -1,7 +1,7 @@
 """Predict the range levels of a sweep with the learned mixture; encoder and decoder are one walk.
 
 Stream: the number of levels (3 bytes, little endian), then one interval of 2 ** 24 per return in
-firing order, coded by :mod:`salpcc.stages.residual_code.range_coder`.
+firing order, coded by :mod:`salpcc.stages.entropy.range_coder`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.range_coder import (
+    decode_interval,
+    decode_target,
+    start_decoder,
+)
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.learned.features import (
     GAPS,
@@ -46,11 +51,6 @@ from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
 from salpcc.stages.predict.learned.ring_rows import PAD, align, close_ring, row_size
 from salpcc.stages.predict.learned.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
 from salpcc.stages.predict.learned.vectors import kernel, lane, load, pick, push, spread, store
-from salpcc.stages.residual_code.range_coder import (
-    decode_interval,
-    decode_target,
-    start_decoder,
-)
 
 LEVEL_LIMIT = 1 << 17  # levels of a sweep; a return beyond cannot be coded here
 HEADER = 3

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from salpcc.stages.entropy.rans import begin, drop, ended, find, refill
 from salpcc.stages.predict.learned.sweep_walk import longest_ring
-from salpcc.stages.residual_code.rans import begin, drop, ended, find, refill
 
 VALUES = 101
 ESCAPE = 101  # followed by 7 even bits

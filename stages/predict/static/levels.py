@@ -16,11 +16,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.rans import begin, ended
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.trig import TWO_PI, sin_cos
 from salpcc.stages.predict.learned.sweep_walk import longest_ring
 from salpcc.stages.predict.static.tokens import get
-from salpcc.stages.residual_code.rans import begin, ended
 
 F64 = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SalpccError
+from salpcc.stages.entropy.rans import TOTAL, Symbols
 from salpcc.stages.predict.static import intensities, levels
 from salpcc.stages.predict.static.tokens import TOKENS
-from salpcc.stages.residual_code.rans import TOTAL, Symbols
 
 WEIGHTS = Path(__file__).parent / "weights"
 STEPS = (1, 2, 8, 15)  # levels of as many counts share tables from each of these on

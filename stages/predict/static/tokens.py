@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.rans import BITS, drop, find, push, refill
+from salpcc.stages.entropy.rans import BITS, drop, find, push, refill
 
 ESCAPE = 64
 TOKENS = 65

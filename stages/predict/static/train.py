@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.entropy.rans import TOTAL
 from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import intensity_levels
 from salpcc.stages.predict.rings import ring_starts
@@ -17,7 +18,6 @@ from salpcc.stages.predict.static import intensities, levels
 from salpcc.stages.predict.static.coder import intensity_contexts, level_contexts
 from salpcc.stages.predict.static.tables import STEPS, StaticTables, check, save_tables, table_of
 from salpcc.stages.predict.static.tokens import TOKENS, count_tokens
-from salpcc.stages.residual_code.rans import TOTAL
 
 TRAINED_STEPS = (1, 2, 3, 5, 8, 10, 12, 15, 20, 30, 60)
 _PRIOR = 8.0  # occurrences that the distribution over all contexts stands for

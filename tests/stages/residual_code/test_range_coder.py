@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from salpcc.stages.residual_code import range_coder as rc
+from salpcc.stages.entropy import range_coder as rc
 
 
 @njit

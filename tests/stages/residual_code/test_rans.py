@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 
-from salpcc.stages.residual_code import rans
+from salpcc.stages.entropy import rans
 
 _FREQUENCY = np.array([[1, 4000, 90, 5], [1024, 1024, 1024, 1024], [4095, 0, 0, 1]], np.uint16)
 _SYMBOLS = rans.Symbols.of(_FREQUENCY)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.range_coder import encode_interval, finish_encoder, start_encoder
+from salpcc.stages.entropy.range_coder import encode_interval, finish_encoder, start_encoder
 
 BITS = 24
 

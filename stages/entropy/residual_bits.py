@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.range_coder import (
+from salpcc.stages.entropy.range_coder import (
     decode_interval,
     decode_mixed_bit,
     decode_target,

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.range_coder import decode_interval, decode_target, encode_interval
+from salpcc.stages.entropy.range_coder import decode_interval, decode_target, encode_interval
 
 _REACH = 12.0
 _PER_UNIT = 64

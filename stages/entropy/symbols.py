@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.column_coder import Flags, Values, neighbours
-from salpcc.stages.residual_code.range_coder import (
+from salpcc.stages.entropy.columns import Flags, Values, neighbours
+from salpcc.stages.entropy.range_coder import (
     decode_mixed_bit,
     encode_mixed_bit,
     finish_encoder,

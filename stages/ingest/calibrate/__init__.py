@@ -1,0 +1,1 @@
+"""Find the sensor model of scans that nothing is known of."""
