@@ -22,7 +22,7 @@ from typing import Any, Self, overload
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_salvage import Salvage
 from salpcc.stages.residual_code.gop import decode_any, scan_of

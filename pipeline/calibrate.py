@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError, SourceError, UsageError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.calibrate import Fit, fit_sensor, share_exact
-from salpcc.stages.ingest.find_lasers import Listed
-from salpcc.stages.ingest.motion_search import is_raw, solve_motion
+from salpcc.stages.ingest.calibrate.fit_sensor import Fit, fit_sensor, share_exact
 from salpcc.stages.ingest.sources.bag import Bag
 from salpcc.stages.ingest.sources.velodyne_bin import read_points, read_points_with_rings
-from salpcc.stages.ingest.untwist import untwist
+from salpcc.stages.lattice.find_lasers import Listed
+from salpcc.stages.lattice.motion_search import is_raw, solve_motion
+from salpcc.stages.lattice.untwist import untwist
 
 _RING_FIELDS = ("ring", "channel", "laser_id", "line")
 _LEAST_FOR_MOTION = 200

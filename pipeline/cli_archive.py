@@ -143,7 +143,7 @@ def recover(
 ) -> None:
     """Save every scan that is whole from a truncated or damaged archive, and name the others."""
     from salpcc.pipeline.recover import recover as recover_archive
-    from salpcc.stages.ingest.sensor_model import load_sensor
+    from salpcc.stages.lattice.sensor_model import load_sensor
 
     found = recover_archive(archive, out, load_sensor(sensor) if sensor else None)
     if json_:

@@ -28,7 +28,7 @@ def coder(
     sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
 ) -> None:
     """Train the coder's networks (range and intensity), or count its tables."""
-    from salpcc.stages.ingest.sensor_model import load_sensor
+    from salpcc.stages.lattice.sensor_model import load_sensor
     from salpcc.stages.predict.learned.train import read_sweeps, train_coder
     from salpcc.stages.predict.static.train import train_tables
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from salpcc.pipeline.archive import decode_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive import ScanPayload
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_salvage import Salvage

@@ -32,9 +32,9 @@ from salpcc.stages.evaluate import stage as evaluate
 from salpcc.stages.evaluate.baseline_figures import OURS
 from salpcc.stages.evaluate.baselines import BASELINES, measure
 from salpcc.stages.evaluate.baselines.apart import measure_scans
-from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.bag import clouds_of
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanPayload
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_writer import write_archive

@@ -20,7 +20,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.evaluate.match import kept_points
 from salpcc.stages.evaluate.metrics import point_errors, same_bits
-from salpcc.stages.ingest.grid import source_of
+from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive_reader import ArchiveReader

@@ -15,7 +15,7 @@ class Sweep:
     """A scan as its sensor measured it; gives the scan back exactly (or within ``step``).
 
     Returns stand in firing order: ring by ring (laser 0 first), by rising tick within a ring. The
-    order of the file follows from them (:mod:`salpcc.stages.ingest.order`). What does not fit the
+    order of the file follows from them (:mod:`salpcc.stages.lattice.order`). What does not fit the
     lattice is a *stray*: it keeps its place in the file and its float32 values.
 
     Attributes:

@@ -12,7 +12,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import PAYLOAD, PLANES, PREDICTION, SWEEP, TASK, sweeps_to_table
 from salpcc.stages.ground_fit import stage as ground_fit
 from salpcc.stages.ingest import stage as ingest
-from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.predict import stage as predict
 from salpcc.stages.residual_code import stage as residual_code
 from salpcc.stages.segment import stage as segment

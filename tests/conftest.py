@@ -14,9 +14,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 from salpcc.schemas.errors import UsageError
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.order import azimuth_keys
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.order import azimuth_keys
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.mapping.open3d_library import load_open3d
 
 settings.register_profile("any machine", deadline=None)  # no test may depend on how fast this one is

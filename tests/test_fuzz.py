@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from salpcc.schemas.errors import SalpccError
 from salpcc.schemas.manifest import Manifest, expand_sequences, load_manifest
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sources.bag import Bag
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 
 FUZZ = Path(__file__).parent / "fuzz"
 READERS = (

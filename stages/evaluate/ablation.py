@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from salpcc.stages.evaluate.grid_frames import Frame, paper_frames, read_gops
 from salpcc.stages.evaluate.record import record
 from salpcc.stages.evaluate.schema import ABLATIONS
-from salpcc.stages.ingest.grid import ELEVATION_UNIT
+from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT
 from salpcc.stages.predict.odometry import UNITS
 from salpcc.stages.residual_code.grid_context import ContextImages
 from salpcc.stages.residual_code.grid_residuals import ground_first, residuals, to_symbols

@@ -23,7 +23,7 @@ from salpcc.stages.evaluate.confusion import class_confusion, group_counts
 from salpcc.stages.evaluate.match import kept_points
 from salpcc.stages.evaluate.metrics import point_errors, same_bits, symmetric_distance
 from salpcc.stages.evaluate.schema import METRICS, VERSION
-from salpcc.stages.ingest.grid import source_of
+from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
 
 __all__ = ["VERSION", "run"]

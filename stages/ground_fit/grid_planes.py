@@ -16,7 +16,7 @@ from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.labels import GROUND, GROUP_OF_CLASS
 from salpcc.stages.ground_fit.grid_regions import centres, region_image
 from salpcc.stages.ground_fit.plane import fit_plane
-from salpcc.stages.ingest.grid import LEVEL_LIMIT, directions
+from salpcc.stages.ingest.paper_grid import LEVEL_LIMIT, directions
 
 HEIGHT_UNIT = 0.005  # metres; slopes are that over the size of the region
 _FEWEST = 6

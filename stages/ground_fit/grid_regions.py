@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.ingest.grid import ELEVATION_UNIT
-from salpcc.stages.ingest.trig import PI, sin_cos
+from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT
+from salpcc.stages.lattice.trig import PI, sin_cos
 
 SECTORS = 20
 RINGS = (0.0, 5.0, 6.0, 7.2, 8.6, 10.4, 12.5, 15.0, 18.0, 22.0, 28.0, 40.0)  # metres, from

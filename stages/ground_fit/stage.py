@@ -12,9 +12,9 @@ from salpcc.schemas.shards import PLANES, table_to_sweeps
 from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ground_fit.plane import fit_plane
 from salpcc.stages.ground_fit.regions import region_of
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.sensor_model import load_sensor
-from salpcc.stages.ingest.sweep import middle_counts
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.sweep import middle_counts
 
 VERSION = 2
 _MIN_POINTS = 30

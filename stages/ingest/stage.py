@@ -13,9 +13,9 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import stamp, sweeps_to_table
 from salpcc.schemas.sweep import Sweep
 from salpcc.schemas.work import GopSource, ScanError, ScanRef
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
+from salpcc.stages.lattice.sweep import scan_to_sweep
 
 VERSION = 4
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
-from salpcc.stages.ingest.grid import ELEVATION_UNIT, LEVEL_LIMIT, directions
+from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT, LEVEL_LIMIT, directions
 from salpcc.stages.predict.odometry import UNITS, find_motion
 
 if TYPE_CHECKING:

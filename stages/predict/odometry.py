@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.ingest.grid import cell_of
+from salpcc.stages.ingest.paper_grid import cell_of
 
 UNITS = np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])  # metres, radians
 LIMIT = 32767  # of the units, 32 m or 19 degrees

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.intensity_model import predict_intensity
 from salpcc.stages.predict.learned.models import load_models

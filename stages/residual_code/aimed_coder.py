@@ -18,8 +18,8 @@ import numpy as np
 from numba import njit
 
 from salpcc.stages.entropy.residual_bits import code_number, size_of
-from salpcc.stages.ingest.lattice import place_point
-from salpcc.stages.ingest.untwist import moved
+from salpcc.stages.lattice.lattice import place_point
+from salpcc.stages.lattice.untwist import moved
 from salpcc.stages.residual_code.aimed_neighbours import above_and_below, guess_inverse, link
 from salpcc.stages.residual_code.aimed_symbols import (
     AIMED,
@@ -67,7 +67,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
         reach: 0; above 0 a tick becomes the expected one where that leaves a point within so many metres of ``points``, and what
             is written is no stream.
         sensor: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks, neighbours above and below,
-            driver (:data:`~salpcc.stages.ingest.drivers.NO_DRIVER`: none).
+            driver (:data:`~salpcc.stages.lattice.drivers.NO_DRIVER`: none).
         motion: whether there is one, and its six numbers.
     """
     parameters, constants, sines, cosines, count_size, phase, above, below, driver = sensor

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.find_lasers import find_firing
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.find_lasers import find_firing
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.aimed_stream import (
     EXACT_REACH,
     Aimed,

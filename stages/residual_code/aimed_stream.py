@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
-from salpcc.stages.ingest.aim import aim
-from salpcc.stages.ingest.drivers import NO_DRIVER
-from salpcc.stages.ingest.lattice import driven, laser_constants
-from salpcc.stages.ingest.list_motion import places, redo, undo
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.trig import TWO_PI, turn_tables
+from salpcc.stages.lattice.aim import aim
+from salpcc.stages.lattice.drivers import NO_DRIVER
+from salpcc.stages.lattice.lattice import driven, laser_constants
+from salpcc.stages.lattice.list_motion import places, redo, undo
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.trig import TWO_PI, turn_tables
 from salpcc.stages.residual_code.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed
 from salpcc.stages.residual_code.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
 from salpcc.stages.residual_code.ray_coder import F32, Layout

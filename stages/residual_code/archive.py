@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 ARCHIVE_VERSION = "1.1"
 MAGIC = b"\x89MCAP0\r\n"

@@ -30,7 +30,7 @@ from salpcc.schemas.files import location, read_at, reading, why
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records, stream
 from salpcc.schemas.messages import CloudMessage
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive import (
     ARCHIVE_VERSION,
     MAGIC,

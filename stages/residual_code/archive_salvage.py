@@ -18,7 +18,7 @@ from mcap.records import Metadata
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location, mapped, why
-from salpcc.stages.ingest.sensor_model import SENSORS, SensorModel, load_sensor
+from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
 from salpcc.stages.residual_code import grid_payload, payload
 from salpcc.stages.residual_code.archive import (
     ARCHIVE_VERSION,

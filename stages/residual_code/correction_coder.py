@@ -62,7 +62,7 @@ def encode_corrections(
     """Encode correction codes 0..26 ``(M,)``; return the bytes written to ``out``, -1 if full.
 
     Args:
-        distance, step: ``(M, 3)``, see :mod:`salpcc.stages.ingest.publish`.
+        distance, step: ``(M, 3)``, see :mod:`salpcc.stages.lattice.publish`.
     """
     state = start_encoder()
     for i in range(len(codes)):

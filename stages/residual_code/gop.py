@@ -12,9 +12,9 @@ from itertools import chain
 from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.grid import grid_to_scan
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import sweep_to_scan
+from salpcc.stages.ingest.paper_grid import grid_to_scan
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.predict.prediction import predict_sweeps
 from salpcc.stages.residual_code.grid_coder import decode_grids
 from salpcc.stages.residual_code.grid_payload import GRID_CODEC

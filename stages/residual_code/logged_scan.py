@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import intensity_of
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import source_places, sweep_to_scan
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.residual_code.cloud_coder import decode_cloud, encode_cloud, points_of
 from salpcc.stages.residual_code.field_coder import decode_field, encode_field
 

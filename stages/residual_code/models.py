@@ -17,7 +17,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.intervals import encode_intervals
 from salpcc.stages.entropy.range_coder import new_bits
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
 from salpcc.stages.predict.learned.models import EFFORTS, LearnedModels, load_models
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp

@@ -12,13 +12,13 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.buffer import run_encoder
-from salpcc.stages.ingest.lattice import NO_CORRECTION, unproject
-from salpcc.stages.ingest.publish import (
+from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
+from salpcc.stages.lattice.publish import (
     compensated_points,
     float32_boundary,
     millimetre_boundary,
 )
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.rings import ring_starts

@@ -11,7 +11,7 @@ from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.grid_shards import table_to_grid_predictions, table_to_grids, table_to_planes
 from salpcc.schemas.shards import PAYLOAD, table_to_predictions, table_to_sweeps
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.grid_coder import GridModels, encode_grid
 from salpcc.stages.residual_code.models import GopModels
 from salpcc.stages.residual_code.payload import Payload

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
-from salpcc.stages.ingest.publish import from_ordered_bits, ordered_bits
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.aimed_strays import Motion, choose, read_body, write_body
 from salpcc.stages.residual_code.aimed_stream import Aimed, Way
 from salpcc.stages.residual_code.aimed_symbols import OFF
@@ -84,7 +84,7 @@ def plan(
 
     Args:
         sensor: whose lattice the points may lie on.
-        motion: by place in the list, that moved them off it (:mod:`salpcc.stages.ingest.list_motion`).
+        motion: by place in the list, that moved them off it (:mod:`salpcc.stages.lattice.list_motion`).
         settled: they were snapped, if need be, and no bit may change.
     """
     points = np.ascontiguousarray(points)

@@ -26,8 +26,8 @@ from salpcc.stages.evaluate.confusion import UNLABELLED, confusion
 from salpcc.stages.evaluate.grid_frames import read_gops
 from salpcc.stages.evaluate.record import record
 from salpcc.stages.evaluate.schema import ABLATIONS
-from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.stage import Projector
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.checkpoint import load_weights
 from salpcc.stages.segment.class_shares import as_in_streets
 from salpcc.stages.segment.labelling import step_motions

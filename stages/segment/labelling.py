@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import source_places, sweep_to_scan
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.segment.geometric import split_ground
 from salpcc.stages.segment.weights_file import weights_path
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.segment.ground_height import height_above_ground
 
 F32 = NDArray[np.float32]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from salpcc.schemas.labels import MOVABLE
-from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.range_image import HEIGHT, RANGE, nearest_cones
 from salpcc.stages.segment.segmenter import Segmentation
 

@@ -10,8 +10,8 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.shards import KEPT, sweeps_to_table, table_to_sweeps
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
-from salpcc.stages.ingest.sweep import source_places
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
+from salpcc.stages.lattice.sweep import source_places
 from salpcc.stages.segment.labelling import label_gop
 from salpcc.stages.segment.task import keep, quantise
 from salpcc.stages.segment.to_grid import to_grid

@@ -12,18 +12,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.lattice import NO_CORRECTION, unproject
-from salpcc.stages.ingest.order import azimuth_keys, in_order
 from salpcc.stages.ingest.point_cloud import coordinate_rounding
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import (
+from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
+from salpcc.stages.lattice.order import azimuth_keys, in_order
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import (
     middle_counts,
     return_places,
     return_points,
     source_places,
     sweep_to_scan,
 )
-from salpcc.stages.ingest.untwist import twist
+from salpcc.stages.lattice.untwist import twist
 from salpcc.stages.residual_code.stray_coder import snap
 
 # Half the diagonal of the 1 mm cube that the published points were rounded in.

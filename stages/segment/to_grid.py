@@ -7,9 +7,9 @@ import pyarrow as pa
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.grid_shards import grids_to_table
 from salpcc.schemas.shards import table_to_sweeps
-from salpcc.stages.ingest.grid import row_elevations, scan_to_grid
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import sweep_to_scan
+from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import sweep_to_scan
 
 
 def to_grid(task: pa.Table, sensor: SensorModel, config: RunConfig) -> pa.Table:

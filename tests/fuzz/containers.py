@@ -17,8 +17,8 @@ from salpcc.schemas.errors import SalpccError
 from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
 from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps
 from salpcc.schemas.work import ShardRef
-from salpcc.stages.ingest.sensor_model import load_sensor
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_writer import write_archive
 from salpcc.stages.residual_code.passing import PassingLog

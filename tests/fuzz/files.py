@@ -12,10 +12,10 @@ from target import Target, Wrong
 
 from salpcc.schemas.manifest import load_manifest
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources.kitti_raw import read_timestamps
 from salpcc.stages.ingest.sources.semantickitti import read_classes, read_times
 from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes, read_points, read_points_with_rings
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.mapping.poses import read_poses
 
 _POINTS = np.random.default_rng(0).normal(0, 20, (50, 4)).astype("<f4")

@@ -12,12 +12,12 @@ from target import Target, Wrong
 from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ground_fit.grid_planes import fit_ground
-from salpcc.stages.ingest.grid import row_elevations, scan_to_grid
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.list_motion import places, redo
-from salpcc.stages.ingest.order import azimuth_keys
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.list_motion import places, redo
+from salpcc.stages.lattice.order import azimuth_keys
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
+from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.grid_prediction import predict_gop
 from salpcc.stages.residual_code import grid_payload, payload
 from salpcc.stages.residual_code.gop import decode_any, encode_gop

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.order import azimuth_keys
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
-from salpcc.stages.ingest.sweep import scan_to_sweep
-from salpcc.stages.ingest.untwist import twist
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.order import azimuth_keys
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
+from salpcc.stages.lattice.sweep import scan_to_sweep
+from salpcc.stages.lattice.untwist import twist
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive_writer import write_archive
 from salpcc.stages.residual_code.gop import encode_gop

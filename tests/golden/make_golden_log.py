@@ -21,8 +21,8 @@ from salpcc.pipeline.log_export import messages
 from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.stages.ingest.point_cloud import message_to_scan
-from salpcc.stages.ingest.sensor_model import load_sensor
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive_writer import write_archive
 from salpcc.stages.residual_code.gop import encode_gop

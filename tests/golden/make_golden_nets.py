@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from salpcc.pipeline import Archive, Scan, encode_scans
 from salpcc.schemas.config import Coder
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.list_motion import places, redo
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.list_motion import places, redo
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 FOLDER = GOLDEN / "nets"
 LASERS, COLUMNS = 8, 300

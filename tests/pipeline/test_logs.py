@@ -28,10 +28,10 @@ from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.sources.bag import Bag, digest_log, find_log, open_log
 from salpcc.stages.ingest.sources.mcap_log import McapLog
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 CLOUD, TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
 START = 1_600_000_000_000_000_000

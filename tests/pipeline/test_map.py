@@ -28,9 +28,9 @@ from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError, UsageError
 from salpcc.stages.evaluate.downstream import registration_figures
-from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.gather import gather
 from salpcc.stages.mapping.poses import read_poses

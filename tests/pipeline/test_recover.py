@@ -16,8 +16,8 @@ from salpcc.pipeline.recover import Recovery, recover
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
-from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code import archive_writer
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_writer import ArchiveWriter, message_of, write_archive

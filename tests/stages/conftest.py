@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.order import azimuth_keys
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
-from salpcc.stages.ingest.untwist import twist
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.order import azimuth_keys
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
+from salpcc.stages.lattice.untwist import twist
 
 DRIVING = np.array([-1.2, 0.02, -0.01, 5e-4, 1e-3, -8e-3])
 

@@ -43,8 +43,8 @@ def encode_group(scans: Sequence[Scan], max_error: float, effort: Effort = "defa
 
 def decode_group(payloads: Iterable[bytes]) -> Iterator[Scan]:
     """Decode a group's payloads, in their order."""
-    from salpcc.stages.ingest.sensor_model import load_sensor
-    from salpcc.stages.ingest.sweep import sweep_to_scan
+    from salpcc.stages.lattice.sensor_model import load_sensor
+    from salpcc.stages.lattice.sweep import sweep_to_scan
     from salpcc.stages.residual_code.gop import decode_gop
 
     sensor = load_sensor(RunConfig.model_validate({}).sensor)

@@ -56,7 +56,7 @@ _PREDICTIVE = (
 
 def _angular(step: float) -> list[str]:
     """Options of the angular mode for our 64-laser sensor."""
-    from salpcc.stages.ingest.sensor_model import load_sensor
+    from salpcc.stages.lattice.sensor_model import load_sensor
 
     sensor = load_sensor("hdl64e")
     rising = np.argsort(sensor.theta)

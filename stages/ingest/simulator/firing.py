@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 F64 = NDArray[np.float64]
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.simulator import firing, measure, street, traffic
 from salpcc.stages.ingest.simulator.caster import Caster
 from salpcc.stages.ingest.simulator.config import SimulationConfig
 from salpcc.stages.ingest.simulator.drive import Drive, lay
-from salpcc.stages.ingest.untwist import twist
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.untwist import twist
 
 F64 = NDArray[np.float64]
 _ROADS = {"city": 4.5, "suburb": 3.8, "country": 4.2, "mixed": 4.2}  # metres from the axis to the road's edge

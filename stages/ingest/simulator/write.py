@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.simulator.config import SimulationConfig
 from salpcc.stages.ingest.simulator.scans import SimulatedScan, simulate_scans
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 F64 = NDArray[np.float64]
 

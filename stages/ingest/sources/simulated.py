@@ -7,8 +7,8 @@ import shutil
 from pathlib import Path
 
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
+from salpcc.stages.lattice.sensor_model import load_sensor
 
 DEFAULT_SCANS = 16
 

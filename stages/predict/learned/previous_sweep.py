@@ -16,10 +16,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.trig import TWO_PI, arctan2, sin_cos
-from salpcc.stages.ingest.untwist import inverse, moved, twist
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.trig import TWO_PI, arctan2, sin_cos
+from salpcc.stages.lattice.untwist import inverse, moved, twist
 from salpcc.stages.predict.hundredths import intensity_levels
 from salpcc.stages.predict.learned.ring_rows import PAD, SLACK
 from salpcc.stages.predict.learned.sweep_walk import TICKS

@@ -15,7 +15,7 @@ from salpcc.stages.entropy.range_coder import (
     decode_target,
     start_decoder,
 )
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned.features import (
     GAPS,
     INPUTS,

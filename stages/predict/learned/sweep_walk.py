@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.trig import TWO_PI, sin_cos
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.trig import TWO_PI, sin_cos
 
 LASERS = 64
 TICKS = 4000

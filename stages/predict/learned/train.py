@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.sensor_model import SensorModel
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.export import quantize_network
 from salpcc.stages.predict.learned.intensity_model import collect_intensity
 from salpcc.stages.predict.learned.network import Network, save_network

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.ingest.grid import ELEVATION_UNIT, directions, nearest_of_cells, row_elevations
-from salpcc.stages.ingest.motion_search import is_raw, solve_motion
+from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT, directions, nearest_of_cells, row_elevations
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.base import Source
+from salpcc.stages.lattice.motion_search import is_raw, solve_motion
 from salpcc.stages.predict.odometry import UNITS, find_motion
 from salpcc.stages.predict.st_lstm.inputs import Inputs, gather
 from salpcc.stages.predict.st_lstm.warp import F64, Image, after, pose_of, warp

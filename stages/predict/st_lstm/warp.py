@@ -13,9 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.ingest.grid import FIELD, UP
-from salpcc.stages.ingest.trig import PI, arctan2, sin_cos
-from salpcc.stages.ingest.untwist import _rotate as rotate
+from salpcc.stages.ingest.paper_grid import FIELD, UP
+from salpcc.stages.lattice.trig import PI, arctan2, sin_cos
+from salpcc.stages.lattice.untwist import _rotate as rotate
 
 F64 = NDArray[np.float64]
 Image = NDArray[np.int32]

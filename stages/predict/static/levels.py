@@ -17,8 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.rans import begin, ended
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.trig import TWO_PI, sin_cos
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.trig import TWO_PI, sin_cos
 from salpcc.stages.predict.learned.sweep_walk import longest_ring
 from salpcc.stages.predict.static.tokens import get
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.rans import TOTAL
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import intensity_levels
 from salpcc.stages.predict.rings import ring_starts
 from salpcc.stages.predict.static import intensities, levels

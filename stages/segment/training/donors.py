@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.training.labelled import list_labelled
 
 _STREETS = range(30, 70)  # names and seeds; the shipped weights saw these

@@ -19,7 +19,7 @@ from salpcc.schemas.shards import KEPT
 from salpcc.stages.evaluate import report, stage
 from salpcc.stages.evaluate.record import SCHEMAS, record
 from salpcc.stages.evaluate.schema import TIMES
-from salpcc.stages.ingest.grid import grid_to_scan, row_elevations, scan_to_grid
+from salpcc.stages.ingest.paper_grid import grid_to_scan, row_elevations, scan_to_grid
 
 Street = Callable[..., Scan]
 CAR, VEGETATION = 1, 15

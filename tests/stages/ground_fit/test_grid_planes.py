@@ -6,7 +6,7 @@ from salpcc.schemas.grid import COLUMNS, ROWS, GridSweep
 from salpcc.schemas.labels import CLASSES
 from salpcc.stages.ground_fit.grid_planes import fit_ground, predict_ground
 from salpcc.stages.ground_fit.grid_regions import REGIONS, region_image
-from salpcc.stages.ingest.grid import directions, row_elevations
+from salpcc.stages.ingest.paper_grid import directions, row_elevations
 
 ROAD = next(i for i, c in enumerate(CLASSES) if c.name == "road")
 CAR = next(i for i, c in enumerate(CLASSES) if c.name == "car")

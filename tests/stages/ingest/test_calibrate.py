@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.errors import SensorError
-from salpcc.stages.ingest.calibrate import fit_sensor, share_exact
-from salpcc.stages.ingest.find_lasers import Listed
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.list_motion import places, redo, solve
-from salpcc.stages.ingest.order import azimuth_keys
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.calibrate.fit_sensor import fit_sensor, share_exact
 from salpcc.stages.ingest.simulator.config import SimulationConfig
 from salpcc.stages.ingest.simulator.scans import simulate_scans
+from salpcc.stages.lattice.find_lasers import Listed
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.list_motion import places, redo, solve
+from salpcc.stages.lattice.order import azimuth_keys
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 TURNING = np.array([-0.6, 0.01, 0.005, 1e-3, -5e-4, 4e-3])
 

@@ -13,13 +13,13 @@ import pytest
 from numba import njit
 
 from salpcc.schemas.errors import SensorError
-from salpcc.stages.ingest.calibrate import fit_sensor
-from salpcc.stages.ingest.drivers import FORMULAS, SINES, Driver
-from salpcc.stages.ingest.drivers.sines import cosine32, sine32
-from salpcc.stages.ingest.find_driver import share_identical
-from salpcc.stages.ingest.find_lasers import Listed
-from salpcc.stages.ingest.lattice import driven
-from salpcc.stages.ingest.sensor_model import SENSORS, SensorModel
+from salpcc.stages.ingest.calibrate.find_driver import share_identical
+from salpcc.stages.ingest.calibrate.fit_sensor import fit_sensor
+from salpcc.stages.lattice.drivers import FORMULAS, SINES, Driver
+from salpcc.stages.lattice.drivers.sines import cosine32, sine32
+from salpcc.stages.lattice.find_lasers import Listed
+from salpcc.stages.lattice.lattice import driven
+from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel
 from salpcc.stages.residual_code.stray_coder import decode_strays, encode_strays, plan
 
 LASERS, FIRINGS = 8, 900
@@ -90,8 +90,8 @@ def test_calibration_finds_the_driver(formula: str, single: bool) -> None:
 
 _SCRIPT = """
 import sys, zlib, numpy as np
-from salpcc.stages.ingest.lattice import driven
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.lattice import driven
+from salpcc.stages.lattice.sensor_model import SensorModel
 sensor = SensorModel.from_json(sys.argv[1])
 at = np.arange(0, 36000, 7, dtype=np.int32)
 points = driven(sensor, (at % 3).astype(np.uint8), at, at * 1.5)

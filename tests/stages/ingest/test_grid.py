@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.grid import (
+from salpcc.stages.ingest.paper_grid import (
     DEGREE,
     FIELD,
     UP,

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salpcc.stages.ingest.lattice import correction_code, corrections, project, unproject
-from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
+from salpcc.stages.lattice.lattice import correction_code, corrections, project, unproject
+from salpcc.stages.lattice.order import azimuth_keys, file_order, in_order
 
 
 def test_project_inverts_unproject_through_the_rounding(sensor) -> None:

@@ -11,15 +11,15 @@ from scipy.spatial import cKDTree
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.labels import CLASSES, classes_of_labels
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.sensor_model import SensorModel, load_sensor
 from salpcc.stages.ingest.simulator import (
     SimulatedScan,
     SimulationConfig,
     simulate_scans,
     simulate_sequence,
 )
-from salpcc.stages.ingest.untwist import twist, untwist
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
+from salpcc.stages.lattice.untwist import twist, untwist
 
 FAST = SimulationConfig(scans=5, seed=7, speed_mps=16.0, movers=8)
 BRIEF = replace(FAST, scans=2)

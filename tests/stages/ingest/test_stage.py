@@ -10,9 +10,9 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.shards import facts_of, table_to_sweeps
 from salpcc.schemas.work import GopSource
 from salpcc.stages.ingest import stage
-from salpcc.stages.ingest.sensor_model import load_sensor
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.ingest.sweep import sweep_to_scan
+from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.sweep import sweep_to_scan
 
 
 def gop_of(root: Path, sequence: str) -> GopSource:

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
+from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 
 
 def same_bits(a: Scan, b: Scan) -> bool:

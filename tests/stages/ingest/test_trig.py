@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salpcc.stages.ingest.trig import arctan2, sin_cos, turn_tables
+from salpcc.stages.lattice.trig import arctan2, sin_cos, turn_tables
 
 finite = st.floats(-1e3, 1e3, allow_nan=False)
 

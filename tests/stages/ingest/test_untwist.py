@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from salpcc.stages.ingest.motion_search import is_raw, solve_motion
-from salpcc.stages.ingest.untwist import twist, untwist
+from salpcc.stages.lattice.motion_search import is_raw, solve_motion
+from salpcc.stages.lattice.untwist import twist, untwist
 
 MOTIONS = {
     "standing": [1e-4, -1e-5, 2e-5, 1e-5, 0.0, 1e-5],

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.calibrate import fit_sensor
-from salpcc.stages.ingest.find_lasers import Listed
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.list_motion import places, redo
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
+from salpcc.stages.ingest.calibrate.fit_sensor import fit_sensor
+from salpcc.stages.lattice.find_lasers import Listed
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.list_motion import places, redo
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.residual_code.gop import decode_any, encode_gop
 from salpcc.stages.residual_code.payload import unpack
 from salpcc.stages.residual_code.stray_coder import AIMED, decode_strays, encode_strays, plan, snap

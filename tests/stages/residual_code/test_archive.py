@@ -10,7 +10,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.archive_writer import ArchiveWriter, write_archive

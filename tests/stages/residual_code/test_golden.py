@@ -31,7 +31,7 @@ _SCRIPT = """
 import sys
 from hashlib import sha256
 from pathlib import Path
-from salpcc.stages.ingest.sweep import sweep_to_scan
+from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 for path in sys.argv[1:]:

@@ -9,7 +9,7 @@ import pytest
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
+from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.residual_code.payload import content_crc
 from salpcc.stages.segment.task import quantise

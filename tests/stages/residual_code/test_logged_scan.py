@@ -16,8 +16,8 @@ from salpcc.schemas.log import LogMessage
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps
 from salpcc.stages.ingest.point_cloud import message_to_scan, scan_columns, scan_to_message
-from salpcc.stages.ingest.sensor_model import load_sensor
-from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
+from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.segment.task import keep, quantise
 

@@ -14,7 +14,7 @@ from salpcc.stages.evaluate.confusion import confusion
 from salpcc.stages.evaluate.grid_frames import read_gops
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.stage import Projector
-from salpcc.stages.ingest.sweep import sweep_to_scan
+from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.segment import ablation
 from salpcc.stages.segment.labelling import label_gop
 from salpcc.stages.segment.training.score import scores

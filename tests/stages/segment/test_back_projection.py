@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.back_projection import classes_of_points
 from salpcc.stages.segment.range_image import COLUMNS, project
 

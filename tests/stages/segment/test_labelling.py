@@ -11,7 +11,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import KEPT, list_array, sweeps_to_table, table_to_sweeps
-from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
+from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.segment import stage
 from salpcc.stages.segment.labelling import label_gop, step_motions
 
@@ -68,8 +68,8 @@ def test_keeping_everything_needs_no_network() -> None:
         "import sys, numpy as np\n"
         "from salpcc.pipeline import Scan\n"
         "from salpcc.schemas.config import RunConfig\n"
-        "from salpcc.stages.ingest.sensor_model import load_sensor\n"
-        "from salpcc.stages.ingest.sweep import scan_to_sweep\n"
+        "from salpcc.stages.lattice.sensor_model import load_sensor\n"
+        "from salpcc.stages.lattice.sweep import scan_to_sweep\n"
         "from salpcc.stages.segment.labelling import label_gop\n"
         "sensor = load_sensor('hdl64e')\n"
         "sweep = scan_to_sweep(Scan('0', np.ones((9, 3), np.float32), np.ones(9, np.float32)), sensor)\n"

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from salpcc.stages.ingest.sensor_model import load_sensor
-from salpcc.stages.ingest.sweep import scan_to_sweep, source_places
+from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.sweep import scan_to_sweep, source_places
 from salpcc.stages.segment.range_image import COLUMNS, INTENSITY, RANGE, project
 
 

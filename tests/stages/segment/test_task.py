@@ -5,7 +5,7 @@ import pytest
 
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.sweep import scan_to_sweep, sweep_to_scan
+from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.segment.stage import drop_movable
 from salpcc.stages.segment.task import counts_per_level, quantise
 

@@ -8,8 +8,8 @@ import pytest
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.entropy.intervals import encode_intervals
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.network import Network
 from salpcc.stages.predict.learned.range_model import HEADER, count_levels, predict_ranges
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned.intensity_model import decode_intensity, predict_intensity
 from salpcc.stages.predict.learned.models import EFFORTS, load_models
 

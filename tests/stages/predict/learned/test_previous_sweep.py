@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.previous_sweep import warp
 from salpcc.stages.predict.learned.ring_rows import PAD
 from salpcc.stages.predict.learned.train import Recipe, collect

@@ -8,8 +8,8 @@ import pytest
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.network import load_network
 from salpcc.stages.predict.learned.range_model import decode_ranges
 from salpcc.stages.predict.learned.train import Recipe, train_coder

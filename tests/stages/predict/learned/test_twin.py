@@ -10,7 +10,7 @@ from dataclasses import replace
 from hashlib import sha256
 import numpy as np
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.predict.learned.intensity_model import predict_intensity
 from salpcc.stages.predict.learned.models import load_models
 from salpcc.stages.predict.learned.previous_sweep import warp

@@ -10,8 +10,8 @@ import pytest
 from salpcc.schemas.errors import SalpccError, UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.sweep import scan_to_sweep
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.rings import ring_starts
 from salpcc.stages.predict.static import coder
 from salpcc.stages.predict.static.tables import STEPS, load_tables, save_tables, shipped, table_of

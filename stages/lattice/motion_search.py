@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.trig import TWO_PI, arctan2
-from salpcc.stages.ingest.untwist import ON_LATTICE, inverse, moved, on_lattice
+from salpcc.stages.lattice.trig import TWO_PI, arctan2
+from salpcc.stages.lattice.untwist import ON_LATTICE, inverse, moved, on_lattice
 
 F64 = NDArray[np.float64]
 

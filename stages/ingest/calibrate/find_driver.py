@@ -12,11 +12,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.aim import aim
-from salpcc.stages.ingest.drivers import FORMULAS, SINES, VELODYNE, Driver, hesai, velodyne
-from salpcc.stages.ingest.drivers.sines import cosine32, sine32
-from salpcc.stages.ingest.lattice import driven
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.aim import aim
+from salpcc.stages.lattice.drivers import FORMULAS, SINES, VELODYNE, Driver, hesai, velodyne
+from salpcc.stages.lattice.drivers.sines import cosine32, sine32
+from salpcc.stages.lattice.lattice import driven
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 _LEVER = 1e-4  # metres; formulas know no lever arms
 _NEAR = 0.1  # metres; nearer points tell nothing

@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.lattice import NO_CORRECTION, corrections
-from salpcc.stages.ingest.untwist import BLOCK, forward, on_lattice
+from salpcc.stages.lattice.lattice import NO_CORRECTION, corrections
+from salpcc.stages.lattice.untwist import BLOCK, forward, on_lattice
 
 
 def ordered_bits(values: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS, GridSweep
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.trig import PI, arctan2, sin_cos
+from salpcc.stages.lattice.trig import PI, arctan2, sin_cos
 
 DEGREE = PI / 180.0
 UP, FIELD = 2.0 * DEGREE, 26.9 * DEGREE

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.drivers.sines import cosine32, sine32
+from salpcc.stages.lattice.drivers.sines import cosine32, sine32
 
 STEPS = 36_000  # azimuth indices in a turn
 F32 = NDArray[np.float32]

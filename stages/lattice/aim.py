@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.lattice import laser_constants, model_point, project_point
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.trig import turn_tables
+from salpcc.stages.lattice.lattice import laser_constants, model_point, project_point
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.trig import turn_tables
 
 _SAMPLE = 2000  # points
 _UNROUNDED = 5e-5  # metres

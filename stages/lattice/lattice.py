@@ -20,9 +20,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.drivers import NO_FORMULA, Tables, driver_point
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.trig import TWO_PI, arctan2, sin_cos, turn_tables
+from salpcc.stages.lattice.drivers import NO_FORMULA, Tables, driver_point
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.trig import TWO_PI, arctan2, sin_cos, turn_tables
 
 Row = NDArray[np.float64] | tuple[float, ...]  # of the parameters, or of the constants, of one laser
 NO_CORRECTION = 13  # (0, 0, 0) as a base-3 code of dx + 1, dy + 1, dz + 1
@@ -91,7 +91,7 @@ def unproject(
 ) -> NDArray[np.float64]:
     """Return the model points ``(M, 3)``, metres, of returns given as ``(M,)`` arrays.
 
-    The same on every machine (see :mod:`salpcc.stages.ingest.trig`). ``count`` may be fractional.
+    The same on every machine (see :mod:`salpcc.stages.lattice.trig`). ``count`` may be fractional.
     """
     return _unproject(
         sensor.parameters, sensor.count, sensor.ticks_per_turn, laser, tick, count.astype(np.float64)

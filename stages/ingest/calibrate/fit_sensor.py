@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError
-from salpcc.stages.ingest.aim import aim
-from salpcc.stages.ingest.find_driver import find_driver, share_identical
-from salpcc.stages.ingest.find_lasers import Listed, find_lasers
-from salpcc.stages.ingest.find_steps import find_count, find_ticks
-from salpcc.stages.ingest.fit_laser import fit_laser
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.list_motion import fit_cones, places, solve, undo
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.ingest.calibrate.find_driver import find_driver, share_identical
+from salpcc.stages.ingest.calibrate.fit_laser import fit_laser
+from salpcc.stages.lattice.aim import aim
+from salpcc.stages.lattice.find_lasers import Listed, find_lasers
+from salpcc.stages.lattice.find_steps import find_count, find_ticks
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.list_motion import fit_cones, places, solve, undo
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 _MOST_POINTS = 150_000  # per laser
 _LEAST_POINTS = 50

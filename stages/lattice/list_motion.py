@@ -16,11 +16,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.aim import aim
-from salpcc.stages.ingest.find_lasers import Listed, find_firing
-from salpcc.stages.ingest.find_steps import find_count
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.untwist import moved, turned_back
+from salpcc.stages.lattice.aim import aim
+from salpcc.stages.lattice.find_lasers import Listed, find_firing
+from salpcc.stages.lattice.find_steps import find_count
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.untwist import moved, turned_back
 
 TICKS = (512, 1024, 2048, 4096, 3600, 4000, 7200, 18_000, 36_000)  # of sensors whose clouds are published so
 _NEAREST = 3.0  # metres

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel
 
 _NEAR = 0.01  # metres from the cone; rounding and calibration explain 1 mm, lasers are 20 mm apart at 3 m
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from salpcc.stages.ingest.trig import HALF_PI, sin_cos
+from salpcc.stages.lattice.trig import HALF_PI, sin_cos
 
 ROUNDED, POLYNOMIAL = 0, 1  # kinds
 

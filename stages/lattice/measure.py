@@ -6,11 +6,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.lattice import correction_code, laser_constants, model_point, project_point
-from salpcc.stages.ingest.order import azimuth_key
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.trig import turn_tables
-from salpcc.stages.ingest.untwist import BLOCK
+from salpcc.stages.lattice.lattice import correction_code, laser_constants, model_point, project_point
+from salpcc.stages.lattice.order import azimuth_key
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.trig import turn_tables
+from salpcc.stages.lattice.untwist import BLOCK
 
 MAX_COUNT = (1 << 20) - 1
 
@@ -82,7 +82,7 @@ def measure(
     """Put points ``(N, 3)`` on the lattice of their lasers ``(N,)`` (-1: none).
 
     Args:
-        raw, compensated: see :func:`salpcc.stages.ingest.untwist.untwist`.
+        raw, compensated: see :func:`salpcc.stages.lattice.untwist.untwist`.
 
     Returns:
         tick and count; codes of the 1 mm and of the float32 correction, -1 where there is none that

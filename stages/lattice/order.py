@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.trig import TWO_PI, arctan2
-from salpcc.stages.ingest.untwist import BLOCK
+from salpcc.stages.lattice.trig import TWO_PI, arctan2
+from salpcc.stages.lattice.untwist import BLOCK
 
 
 @njit(cache=True, error_model="numpy", inline="always")

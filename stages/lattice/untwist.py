@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.trig import TWO_PI, arctan2
+from salpcc.stages.lattice.trig import TWO_PI, arctan2
 
 # Points of a fitted scan are off the 1 mm lattice by float32 rounding only (about 0.0005 mm).
 ON_LATTICE = 1e-5  # metres

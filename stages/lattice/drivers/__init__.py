@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.drivers import hesai, velodyne
+from salpcc.stages.lattice.drivers import hesai, velodyne
 
 FORMULAS: dict[str, ModuleType] = {"velodyne": velodyne, "hesai": hesai}
 SINES = ("rounded", "polynomial")  # the kinds of :mod:`.sines`

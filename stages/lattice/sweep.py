@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.ingest.aim import lies_on
-from salpcc.stages.ingest.lattice import unproject
-from salpcc.stages.ingest.list_motion import find_motion
-from salpcc.stages.ingest.measure import measure
-from salpcc.stages.ingest.motion_search import is_raw, solve_motion
-from salpcc.stages.ingest.order import azimuth_keys, file_order, in_order
-from salpcc.stages.ingest.publish import compensated_points, published_points
-from salpcc.stages.ingest.rings import assign_lasers
-from salpcc.stages.ingest.sensor_model import SensorModel
-from salpcc.stages.ingest.untwist import twist, untwist, within_reach
+from salpcc.stages.lattice.aim import lies_on
+from salpcc.stages.lattice.lasers import assign_lasers
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.list_motion import find_motion
+from salpcc.stages.lattice.measure import measure
+from salpcc.stages.lattice.motion_search import is_raw, solve_motion
+from salpcc.stages.lattice.order import azimuth_keys, file_order, in_order
+from salpcc.stages.lattice.publish import compensated_points, published_points
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.untwist import twist, untwist, within_reach
 
 # A lattice that explains fewer points than this is not the scan's lattice, and strays cost less.
 _MIN_SHARE = 0.2

@@ -1,7 +1,7 @@
 """The sensor model: five numbers per laser that turn counts and ticks into metres.
 
 SENSOR_LATTICE.md, section 1. A model belongs to a sensor, not to a drive: it is fitted once over
-many scans (:mod:`salpcc.stages.ingest.calibrate`), shipped as JSON, and travels in every archive.
+many scans (:mod:`salpcc.stages.ingest.calibrate.fit_sensor`), shipped as JSON, and travels in every archive.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError
-from salpcc.stages.ingest.drivers import Driver
+from salpcc.stages.lattice.drivers import Driver
 
 SENSORS = Path(__file__).parent / "sensors"
 _VERSION = 2
