@@ -33,7 +33,7 @@ from salpcc.stages.residual_code.grid_payload import (
 )
 from salpcc.stages.residual_code.image_coder import Images
 from salpcc.stages.residual_code.payload import Payload
-from salpcc.stages.residual_code.stray_coder import decode_floats, encode_floats
+from salpcc.stages.strays.stray_coder import decode_floats, encode_floats
 
 _NOTHING = np.zeros((ROWS, COLUMNS), np.int32)
 _CALM = np.zeros((ROWS, COLUMNS), np.uint8)

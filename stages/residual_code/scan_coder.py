@@ -43,13 +43,13 @@ from salpcc.stages.residual_code.payload import (
     pack,
     unpack,
 )
-from salpcc.stages.residual_code.ray_coder import Layout
-from salpcc.stages.residual_code.stray_coder import (
+from salpcc.stages.strays.ray_coder import Layout
+from salpcc.stages.strays.stray_coder import (
     decode_strays,
     encode_strays,
     plan,
 )
-from salpcc.stages.residual_code.value_coder import decode_values, encode_values
+from salpcc.stages.strays.stray_values import decode_values, encode_values
 
 Array = NDArray[np.uint8]
 _LENGTH = struct.Struct("<I")

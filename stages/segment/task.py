@@ -24,7 +24,7 @@ from salpcc.stages.lattice.sweep import (
     sweep_to_scan,
 )
 from salpcc.stages.lattice.untwist import twist
-from salpcc.stages.residual_code.stray_coder import snap
+from salpcc.stages.strays.stray_coder import snap
 
 # Half the diagonal of the 1 mm cube that the published points were rounded in.
 _ROUNDING = 0.000867

@@ -20,7 +20,7 @@ from salpcc.stages.lattice.drivers.sines import cosine32, sine32
 from salpcc.stages.lattice.find_lasers import Listed
 from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel
-from salpcc.stages.residual_code.stray_coder import decode_strays, encode_strays, plan
+from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, plan
 
 LASERS, FIRINGS = 8, 900
 F = np.float32

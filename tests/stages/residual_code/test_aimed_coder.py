@@ -18,8 +18,8 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.residual_code.gop import decode_any, encode_gop
 from salpcc.stages.residual_code.payload import unpack
-from salpcc.stages.residual_code.stray_coder import AIMED, decode_strays, encode_strays, plan, snap
 from salpcc.stages.segment.task import quantise
+from salpcc.stages.strays.stray_coder import AIMED, decode_strays, encode_strays, plan, snap
 
 Points = NDArray[np.float32]
 LASERS, COLUMNS = 32, 512

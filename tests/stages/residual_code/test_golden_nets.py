@@ -13,8 +13,8 @@ from salpcc.pipeline.archive import Archive
 from salpcc.stages.residual_code.archive_reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.residual_code.payload import unpack
-from salpcc.stages.residual_code.ray_forms import ALONG, BITS, GRID
-from salpcc.stages.residual_code.stray_coder import AIMED
+from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID
+from salpcc.stages.strays.stray_coder import AIMED
 
 NETS = Path(__file__).parents[2] / "golden" / "nets"
 EXPECTED = json.loads((NETS / "expected.json").read_text())

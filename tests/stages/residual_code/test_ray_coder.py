@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.stray_coder import decode_strays, encode_strays, plan, snap
-from salpcc.stages.residual_code.value_coder import decode_values, encode_values
+from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, plan, snap
+from salpcc.stages.strays.stray_values import decode_values, encode_values
 
 Points = NDArray[np.float32]
 

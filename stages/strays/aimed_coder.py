@@ -20,8 +20,8 @@ from numba import njit
 from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
-from salpcc.stages.residual_code.aimed_neighbours import above_and_below, guess_inverse, link
-from salpcc.stages.residual_code.aimed_symbols import (
+from salpcc.stages.strays.aimed_neighbours import above_and_below, guess_inverse, link
+from salpcc.stages.strays.aimed_symbols import (
     AIMED,
     CLASSES,
     NAN,
@@ -31,7 +31,7 @@ from salpcc.stages.residual_code.aimed_symbols import (
     code_kind,
     code_laser,
 )
-from salpcc.stages.residual_code.ray_forms import bucket_of, coordinate_of, whole_of
+from salpcc.stages.strays.ray_forms import bucket_of, coordinate_of, whole_of
 
 MAX_LEVEL = (1 << 20) - 1
 NAN_BITS = 0x7FC00000

@@ -16,10 +16,10 @@ from salpcc.stages.lattice.lattice import driven, laser_constants
 from salpcc.stages.lattice.list_motion import places, redo, undo
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, turn_tables
-from salpcc.stages.residual_code.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed
-from salpcc.stages.residual_code.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
-from salpcc.stages.residual_code.ray_coder import F32, Layout
-from salpcc.stages.residual_code.ray_forms import GRID
+from salpcc.stages.strays.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed
+from salpcc.stages.strays.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
+from salpcc.stages.strays.ray_coder import F32, Layout
+from salpcc.stages.strays.ray_forms import GRID
 
 EXACT_REACH = 0.005  # metres; what is farther from the lattice costs less off it
 _ROUNDING = 1e-5  # metres, more than float32 rounds points by

@@ -30,7 +30,7 @@ from salpcc.stages.entropy.residual_bits import (
     code_number,
     size_of,
 )
-from salpcc.stages.residual_code.ray_forms import (
+from salpcc.stages.strays.ray_forms import (
     ALONG,
     BITS,
     FAR,

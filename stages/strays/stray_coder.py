@@ -17,13 +17,13 @@ from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.aimed_strays import Motion, choose, read_body, write_body
-from salpcc.stages.residual_code.aimed_stream import Aimed, Way
-from salpcc.stages.residual_code.aimed_symbols import OFF
-from salpcc.stages.residual_code.layout import find_layout
-from salpcc.stages.residual_code.ray_coder import F32, Layout
-from salpcc.stages.residual_code.ray_forms import ALONG, BITS, GRID
-from salpcc.stages.residual_code.ray_stream import move_points, read_points, write_points
+from salpcc.stages.strays.aimed_strays import Motion, choose, read_body, write_body
+from salpcc.stages.strays.aimed_stream import Aimed, Way
+from salpcc.stages.strays.aimed_symbols import OFF
+from salpcc.stages.strays.list_layout import find_layout
+from salpcc.stages.strays.ray_coder import F32, Layout
+from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID
+from salpcc.stages.strays.ray_stream import move_points, read_points, write_points
 
 AIMED = 3  # the form after those of rays
 _HEAD = struct.Struct("<IBHHI")

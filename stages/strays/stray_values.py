@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import code_bit
-from salpcc.stages.residual_code.ray_coder import Layout
-from salpcc.stages.residual_code.stray_coder import decode_floats, encode_floats
+from salpcc.stages.strays.ray_coder import Layout
+from salpcc.stages.strays.stray_coder import decode_floats, encode_floats
 
 UNITS = (1.0, 100.0, 255.0, 10.0, 1000.0, 256.0, 65535.0)  # numbers in a whole one
 _HEAD = struct.Struct("<BHH")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.find_lasers import find_firing
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.aimed_stream import (
+from salpcc.stages.strays.aimed_stream import (
     EXACT_REACH,
     Aimed,
     Way,
@@ -25,10 +25,10 @@ from salpcc.stages.residual_code.aimed_stream import (
     step_of,
     write_aimed,
 )
-from salpcc.stages.residual_code.aimed_symbols import OFF
-from salpcc.stages.residual_code.layout import likely_layouts
-from salpcc.stages.residual_code.ray_coder import F32, Layout
-from salpcc.stages.residual_code.ray_forms import ALONG, BITS
+from salpcc.stages.strays.aimed_symbols import OFF
+from salpcc.stages.strays.list_layout import likely_layouts
+from salpcc.stages.strays.ray_coder import F32, Layout
+from salpcc.stages.strays.ray_forms import ALONG, BITS
 
 MOST_POINTS = 1 << 22
 _BODY = struct.Struct("<BIII")

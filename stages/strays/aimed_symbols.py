@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_bit
-from salpcc.stages.residual_code.ray_forms import SPREADS
+from salpcc.stages.strays.ray_forms import SPREADS
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
 PREDICTORS = 8

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.ray_coder import Layout
-from salpcc.stages.residual_code.ray_forms import ALONG
-from salpcc.stages.residual_code.ray_stream import move_points, write_points
+from salpcc.stages.strays.ray_coder import Layout
+from salpcc.stages.strays.ray_forms import ALONG
+from salpcc.stages.strays.ray_stream import move_points, write_points
 
 _FEW = 500
 _TRIED = 32768
