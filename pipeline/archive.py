@@ -23,8 +23,8 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.archive_salvage import Salvage
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.salvage import Salvage
 from salpcc.stages.residual_code.gop import decode_any, scan_of
 
 

@@ -13,7 +13,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.scan import Scan
-from salpcc.stages.residual_code.archive import file_name
+from salpcc.stages.residual_code.archive.format import file_name
 
 _LONGEST_NAME = 200  # bytes, as files have an ending besides
 

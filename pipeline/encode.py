@@ -19,8 +19,8 @@ from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.stages.coding import code
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
-from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
-from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_any, scan_of
 from salpcc.stages.segment.weights_file import weights_digest, weights_path
 

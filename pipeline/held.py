@@ -8,7 +8,7 @@ from typing import Any
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, UsageError
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 _OPTIONS = {"sensor_digest": "sensor", "weights_digest": "weights"}  # what the others are called by
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from salpcc.pipeline.store import read_shard
-from salpcc.stages.residual_code.archive import ScanEntry
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.format import ScanEntry
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
 def inspect(path: Path) -> dict[str, Any]:

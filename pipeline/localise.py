@@ -25,7 +25,7 @@ from salpcc.stages.evaluate.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.mapping.open3d_library import load_open3d
 from salpcc.stages.mapping.poses import poses_of, read_poses
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
 @dataclass(frozen=True)

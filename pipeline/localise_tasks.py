@@ -21,7 +21,7 @@ from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.mapping.registration import Method, icp, rotation_error, translation_error
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 VERSION = 2
 _METHODS: dict[str, Method] = {"point to point": "point", "point to plane": "plane"}

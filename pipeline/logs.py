@@ -14,8 +14,8 @@ from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import location
 from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.stages.ingest.sources.bag import count_log, differences, find_log, open_log
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.passing import PassingLog
+from salpcc.stages.residual_code.archive.passing import PassingLog
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 Identity = tuple[tuple[object, ...], int, int, int, bytes]
 

@@ -25,7 +25,7 @@ from salpcc.pipeline.store import TOOL, ShardStore
 from salpcc.schemas.files import atomic
 from salpcc.schemas.work import digest_of
 from salpcc.stages.mapping.cleaners import cleaner
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 VERSION = 2  # 2: LAZ of one unit of intensity
 NO_CLASSES = "no classes in it, so nothing tells what is movable; encode it without --keep-movable, or with --labels given"

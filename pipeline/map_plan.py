@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.mapping.poses import frame_number, poses_of, read_poses
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 F64 = NDArray[np.float64]
 ODOMETRY = "odometry"

@@ -26,7 +26,7 @@ from salpcc.stages.mapping.poses import move
 from salpcc.stages.mapping.score import Tally, Truth, quality, tally, truth_of_labels
 from salpcc.stages.mapping.tiles import Tile, blocks_of
 from salpcc.stages.mapping.voxel import keys_of
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 VERSION = 2
 CLASSES_ONLY = "ours, classes only"

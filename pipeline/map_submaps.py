@@ -32,7 +32,7 @@ from salpcc.stages.mapping.gather import gather
 from salpcc.stages.mapping.odometry import LocalMap, start_of
 from salpcc.stages.mapping.poses import inverse
 from salpcc.stages.mapping.tiles import Box, blocks_of
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 F64 = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from typing import Any
 from salpcc.pipeline.archive import decode_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.archive import ScanPayload
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.archive_salvage import Salvage
-from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.archive.format import ScanPayload
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.salvage import Salvage
+from salpcc.stages.residual_code.archive.writer import write_archive
 
 
 @dataclass

@@ -35,9 +35,9 @@ from salpcc.stages.evaluate.baselines.apart import measure_scans
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.bag import clouds_of
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.residual_code.archive import ArchiveFacts, ScanPayload
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanPayload
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.writer import write_archive
 
 _warm: set[str] = set()  # efforts that this process has decoded
 

@@ -23,7 +23,7 @@ from salpcc.stages.evaluate.metrics import point_errors, same_bits
 from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
 @dataclass

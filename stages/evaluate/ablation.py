@@ -26,10 +26,10 @@ from salpcc.stages.evaluate.record import record
 from salpcc.stages.evaluate.schema import ABLATIONS
 from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT
 from salpcc.stages.predict.odometry import UNITS
-from salpcc.stages.residual_code.grid_context import ContextImages
-from salpcc.stages.residual_code.grid_residuals import ground_first, residuals, to_symbols
-from salpcc.stages.residual_code.image_coder import Images
-from salpcc.stages.residual_code.lossless import CODERS
+from salpcc.stages.residual_code.paper.grid_context import ContextImages
+from salpcc.stages.residual_code.paper.grid_residuals import ground_first, residuals, to_symbols
+from salpcc.stages.residual_code.paper.image_coder import Images
+from salpcc.stages.residual_code.paper.lossless import CODERS
 
 STUDY = "What prediction brings (paper profile)"
 VARIANTS = {

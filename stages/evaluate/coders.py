@@ -23,8 +23,8 @@ from salpcc.stages.evaluate.grid_frames import Frame, paper_frames, read_gops
 from salpcc.stages.evaluate.metrics import compression_rate
 from salpcc.stages.evaluate.record import record
 from salpcc.stages.evaluate.schema import CODERS as CODERS_SCHEMA
-from salpcc.stages.residual_code.grid_images import IMAGE_CODERS
-from salpcc.stages.residual_code.lossless import CODERS, Lossless
+from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
+from salpcc.stages.residual_code.paper.lossless import CODERS, Lossless
 
 _CONTEXT = ("Context", "paper grid, contexts of our own")
 Trial = tuple[int, bool, float, float]  # of one piece: bytes coded, whether it came back, CPU seconds of both

@@ -17,7 +17,7 @@ from salpcc.stages.evaluate.downstream import ablation_figures, coder_figures, r
 from salpcc.stages.evaluate.machine import describe_machine
 from salpcc.stages.evaluate.record import recorded, recorded_run
 from salpcc.stages.evaluate.savings import add_savings
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 REPORT_VERSION = 2
 

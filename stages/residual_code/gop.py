@@ -16,11 +16,11 @@ from salpcc.stages.ingest.paper_grid import grid_to_scan
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.predict.prediction import predict_sweeps
-from salpcc.stages.residual_code.grid_coder import decode_grids
-from salpcc.stages.residual_code.grid_payload import GRID_CODEC
-from salpcc.stages.residual_code.models import GopModels
-from salpcc.stages.residual_code.payload import Payload
-from salpcc.stages.residual_code.scan_coder import decode_scan, encode_scan
+from salpcc.stages.residual_code.paper.grid_coder import decode_grids
+from salpcc.stages.residual_code.paper.grid_payload import GRID_CODEC
+from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.payload import Payload
+from salpcc.stages.residual_code.sensor.scan_coder import decode_scan, encode_scan
 
 
 def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "default") -> list[Payload]:

@@ -12,10 +12,10 @@ from salpcc.schemas.grid_shards import table_to_grid_predictions, table_to_grids
 from salpcc.schemas.shards import PAYLOAD, table_to_predictions, table_to_sweeps
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.residual_code.grid_coder import GridModels, encode_grid
-from salpcc.stages.residual_code.models import GopModels
-from salpcc.stages.residual_code.payload import Payload
-from salpcc.stages.residual_code.scan_coder import encode_scan
+from salpcc.stages.residual_code.paper.grid_coder import GridModels, encode_grid
+from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.payload import Payload
+from salpcc.stages.residual_code.sensor.scan_coder import encode_scan
 
 VERSION = 7
 

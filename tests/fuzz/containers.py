@@ -19,9 +19,9 @@ from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps
 from salpcc.schemas.work import ShardRef
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.archive_writer import write_archive
-from salpcc.stages.residual_code.passing import PassingLog
+from salpcc.stages.residual_code.archive.passing import PassingLog
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.writer import write_archive
 
 SENSOR = load_sensor("hdl64e")
 

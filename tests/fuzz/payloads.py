@@ -19,10 +19,11 @@ from salpcc.stages.lattice.order import azimuth_keys
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.grid_prediction import predict_gop
-from salpcc.stages.residual_code import grid_payload, payload
 from salpcc.stages.residual_code.gop import decode_any, encode_gop
-from salpcc.stages.residual_code.grid_coder import GridModels, encode_grid
-from salpcc.stages.residual_code.grid_images import IMAGE_CODERS
+from salpcc.stages.residual_code.paper import grid_payload
+from salpcc.stages.residual_code.paper.grid_coder import GridModels, encode_grid
+from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
+from salpcc.stages.residual_code.sensor import payload
 from salpcc.stages.segment.task import quantise
 
 SENSOR = load_sensor("hdl64e")

@@ -26,10 +26,10 @@ from salpcc.stages.lattice.order import azimuth_keys
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.lattice.untwist import twist
-from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
-from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import encode_gop
-from salpcc.stages.residual_code.payload import CODEC_VERSION, EFFORTS
+from salpcc.stages.residual_code.sensor.payload import CODEC_VERSION, EFFORTS
 from salpcc.stages.segment.task import quantise
 
 FOLDER = Path(__file__).parent

@@ -23,10 +23,10 @@ from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.stages.ingest.point_cloud import message_to_scan
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
-from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
-from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive.passing import PassingLog
+from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import encode_gop
-from salpcc.stages.residual_code.passing import PassingLog
 
 FOLDER = Path(__file__).parent / "log"
 POINTS = SCHEMA_TEXT[PLAIN].encode()

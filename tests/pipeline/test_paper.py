@@ -11,7 +11,7 @@ from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.config import RunConfig
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
 @pytest.fixture(scope="module")

@@ -18,10 +18,10 @@ from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.residual_code import archive_writer
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.archive_writer import ArchiveWriter, message_of, write_archive
-from salpcc.stages.residual_code.passing import PassingLog
+from salpcc.stages.residual_code.archive import writer as archive_writer
+from salpcc.stages.residual_code.archive.passing import PassingLog
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.writer import ArchiveWriter, message_of, write_archive
 
 NAMES = [f"{n:06d}" for n in range(5)]
 

@@ -14,7 +14,7 @@ from salpcc.pipeline.lock import locked
 from salpcc.pipeline.run import RunResult
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import LockedError, SalpccError
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 Run = Callable[..., RunResult]
 

@@ -10,7 +10,7 @@ from salpcc.pipeline import encode_scans
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
 @pytest.fixture

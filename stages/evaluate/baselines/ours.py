@@ -66,7 +66,7 @@ def decode(data: bytes) -> Points:
 
 def geometry_bytes(data: bytes) -> int:
     """Bytes of one coded scan that are not intensity or classes."""
-    from salpcc.stages.residual_code.payload import STREAMS, unpack
+    from salpcc.stages.residual_code.sensor.payload import STREAMS, unpack
 
     _, streams = unpack(data[1:])
     others = ("intensity", "stray_intensity", "classes")

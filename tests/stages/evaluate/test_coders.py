@@ -10,7 +10,7 @@ import pytest
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.coders import _on_scans, _sum
-from salpcc.stages.residual_code.lossless import CODERS
+from salpcc.stages.residual_code.paper.lossless import CODERS
 
 
 def refuse(data: bytes, size: int) -> bytes:

@@ -17,7 +17,7 @@ from salpcc.stages.lattice.list_motion import places, redo
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.residual_code.gop import decode_any, encode_gop
-from salpcc.stages.residual_code.payload import unpack
+from salpcc.stages.residual_code.sensor.payload import unpack
 from salpcc.stages.segment.task import quantise
 from salpcc.stages.strays.stray_coder import AIMED, decode_strays, encode_strays, plan, snap
 

@@ -11,9 +11,9 @@ from rosbags.highlevel import AnyReader
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.residual_code.archive import ArchiveFacts, ScanEntry, ScanPayload
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.archive_writer import ArchiveWriter, write_archive
+from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.writer import ArchiveWriter, write_archive
 
 FACTS = ArchiveFacts("04", "semantickitti", "d1", {"gop": 2, "max_error": None}, load_sensor("hdl64e"))
 
@@ -143,7 +143,7 @@ def test_damage_in_one_gop_leaves_the_others(path: Path, tmp_path: Path) -> None
 
 
 def test_newer_major_version_is_refused(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("salpcc.stages.residual_code.archive_writer.ARCHIVE_VERSION", "2.0")
+    monkeypatch.setattr("salpcc.stages.residual_code.archive.writer.ARCHIVE_VERSION", "2.0")
     write_archive(tmp_path / "new.mcap", FACTS, GOPS)
     with pytest.raises(ArchiveError, match="newer"):
         ArchiveReader(tmp_path / "new.mcap")

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from salpcc.pipeline.archive import Archive
-from salpcc.stages.residual_code.archive import ScanPayload
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.archive_writer import write_archive
+from salpcc.stages.residual_code.archive.format import ScanPayload
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
-from salpcc.stages.residual_code.payload import CODEC_VERSION
+from salpcc.stages.residual_code.sensor.payload import CODEC_VERSION
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 EXPECTED = json.loads((GOLDEN / "expected.json").read_text())
@@ -32,7 +32,7 @@ import sys
 from hashlib import sha256
 from pathlib import Path
 from salpcc.stages.lattice.sweep import sweep_to_scan
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 for path in sys.argv[1:]:
     reader = ArchiveReader(path)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.log_export import messages
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 
 LOG = Path(__file__).parents[2] / "golden" / "log"

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from salpcc.pipeline.archive import Archive
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
-from salpcc.stages.residual_code.payload import unpack
+from salpcc.stages.residual_code.sensor.payload import unpack
 from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID
 from salpcc.stages.strays.stray_coder import AIMED
 

@@ -12,9 +12,9 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
 from salpcc.stages.predict.grid_prediction import predict_gop
-from salpcc.stages.residual_code.grid_coder import GridModels, decode_grids, encode_grid
-from salpcc.stages.residual_code.grid_images import IMAGE_CODERS
-from salpcc.stages.residual_code.grid_payload import content_crc, unpack
+from salpcc.stages.residual_code.paper.grid_coder import GridModels, decode_grids, encode_grid
+from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
+from salpcc.stages.residual_code.paper.grid_payload import content_crc, unpack
 
 CAR, ROAD = 1, 9
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
-from salpcc.stages.residual_code.grid_coder import GridModels, encode_grid
-from salpcc.stages.residual_code.grid_payload import GRID_CODEC
+from salpcc.stages.residual_code.paper.grid_coder import GridModels, encode_grid
+from salpcc.stages.residual_code.paper.grid_payload import GRID_CODEC
 
 # Level ground at the sensor's height, in the regions of two rings; fitting is the encoder's own affair.
 PLANES = np.array([(region, -346, 0, 0) for region in range(60, 100)], np.int32)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.lossless import CODERS, deflate64
+from salpcc.stages.residual_code.paper.lossless import CODERS, deflate64
 
 _RNG = np.random.default_rng(3)
 PLAIN = {

@@ -10,8 +10,8 @@ from salpcc.schemas.grid import COLUMNS, ROWS
 from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.mixing import EVEN
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
-from salpcc.stages.residual_code import grid_levels, grid_mask
-from salpcc.stages.residual_code.image_coder import Images
+from salpcc.stages.residual_code.paper import grid_levels, grid_mask
+from salpcc.stages.residual_code.paper.image_coder import Images
 
 _STEEPEST = 3.0  # ratio of the angles between rows
 _CLOSEST = 50  # thousandths of a degree between rows that count as apart

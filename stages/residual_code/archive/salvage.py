@@ -19,8 +19,7 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location, mapped, why
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
-from salpcc.stages.residual_code import grid_payload, payload
-from salpcc.stages.residual_code.archive import (
+from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
     ArchiveFacts,
     ScanEntry,
@@ -29,10 +28,19 @@ from salpcc.stages.residual_code.archive import (
     file_name,
     sequence_number,
 )
-from salpcc.stages.residual_code.archive_carve import BROKEN, RECORD_HEAD, Place, attachments, chunks, clouds
-from salpcc.stages.residual_code.archive_writer import message_of
-from salpcc.stages.residual_code.passing import PassingLog
-from salpcc.stages.residual_code.passing_salvage import passing_log
+from salpcc.stages.residual_code.archive.fragments import (
+    BROKEN,
+    RECORD_HEAD,
+    Place,
+    attachments,
+    chunks,
+    clouds,
+)
+from salpcc.stages.residual_code.archive.passing import PassingLog
+from salpcc.stages.residual_code.archive.passing_salvage import passing_log
+from salpcc.stages.residual_code.archive.writer import message_of
+from salpcc.stages.residual_code.paper import grid_payload
+from salpcc.stages.residual_code.sensor import payload
 
 # At least one of them is in whatever part of an archive holds a scan.
 _TRACES = (b"gop.json", b"index.json", b"sensor.json", b"salpcc/")

@@ -31,7 +31,7 @@ from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records, stream
 from salpcc.schemas.messages import CloudMessage
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.archive import (
+from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
     MAGIC,
     ArchiveFacts,
@@ -39,7 +39,7 @@ from salpcc.stages.residual_code.archive import (
     entry_of,
     file_name,
 )
-from salpcc.stages.residual_code.passing import (
+from salpcc.stages.residual_code.archive.passing import (
     ENCLOSED,
     passing_channel,
     passing_messages,

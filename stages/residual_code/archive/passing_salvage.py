@@ -15,13 +15,13 @@ from mcap.records import Channel, Schema
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, decompress, records, stream
-from salpcc.stages.residual_code.archive_reader import ArchiveReader
-from salpcc.stages.residual_code.passing import (
+from salpcc.stages.residual_code.archive.passing import (
     PassingLog,
     passing_channel,
     passing_messages,
     read_passing_enclosed,
 )
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 # A chunk: length below 2^40, times, size and CRC, the name of its compression, length below 2^40.
 _CHUNK = re.compile(rb"\x06(?=.{5}\0\0\0.{28}\x04\0\0\0zstd.{5}\0\0\0)", re.DOTALL)

@@ -28,7 +28,8 @@ from salpcc.stages.predict.static.coder import (
     encode_levels,
 )
 from salpcc.stages.predict.static.tables import StaticTables, shipped
-from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
+from salpcc.stages.residual_code import class_coder
+from salpcc.stages.residual_code.sensor import correction_coder, mask_coder
 
 Bytes = NDArray[np.uint8]
 Starts = NDArray[np.int64]

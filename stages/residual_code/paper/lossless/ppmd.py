@@ -13,7 +13,7 @@ import zlib
 import pyppmd
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.lossless.contract import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
 
 _TITLE = "PPMd"
 _ORDER, _MEMORY, _FEED = 6, 16 << 20, 4096

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.residual_code.grid_context import ContextImages
-from salpcc.stages.residual_code.grid_residuals import (
+from salpcc.stages.residual_code.paper.grid_context import ContextImages
+from salpcc.stages.residual_code.paper.grid_residuals import (
     from_residuals,
     from_symbols,
     ground_first,
     residuals,
     to_symbols,
 )
-from salpcc.stages.residual_code.image_coder import ImageCoder, Images
-from salpcc.stages.residual_code.lossless import CODERS, Lossless
+from salpcc.stages.residual_code.paper.image_coder import ImageCoder, Images
+from salpcc.stages.residual_code.paper.lossless import CODERS, Lossless
 
 _CELLS = ROWS * COLUMNS
 _LENGTH = 3  # bytes of the length of coded symbols

@@ -5,7 +5,7 @@ from __future__ import annotations
 import brotli
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.lossless.contract import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
 
 _TITLE, _QUALITY = "Brotli", 3
 

@@ -17,7 +17,7 @@ from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layout, LayoutError
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
-from salpcc.stages.residual_code.field_coder import Points, decode_field, encode_field
+from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
 
 _WHOLE, _ROS1, _CHANNEL = 1, 2, 4
 _NUMBERS = struct.Struct("<qI")

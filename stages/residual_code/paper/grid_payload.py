@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import COLUMNS, ROWS, GridSweep
-from salpcc.stages.residual_code.payload import GROUPS, MAX_POINTS, Payload
+from salpcc.stages.residual_code.sensor.payload import GROUPS, MAX_POINTS, Payload
 
 GRID_CODEC = 129  # 128 + version; below 128 are the codec versions of the sensor profile
 # The order is part of the format.

@@ -7,7 +7,7 @@ import zlib
 import inflate64
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.lossless.contract import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
 
 _TITLE, _FEED = "Deflate64", 1024
 

@@ -1,7 +1,7 @@
 """Find the records of a damaged archive by their shape, without its index and without trusting a length.
 
 What is given back carries a CRC that holds, except the messages of a broken chunk: those are for the
-caller to check (:mod:`~salpcc.stages.residual_code.archive_salvage`).
+caller to check (:mod:`~salpcc.stages.residual_code.archive.salvage`).
 """
 
 from __future__ import annotations

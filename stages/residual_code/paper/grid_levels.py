@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.grid import COLUMNS, ROWS
 from salpcc.stages.entropy.mixing import code_bit, code_mixed_bit, odds
 from salpcc.stages.predict.grid_neighbours import BEFORE, GUESSES, guess
-from salpcc.stages.residual_code.grid_mixture import below, mix_guesses, share_beyond
+from salpcc.stages.residual_code.paper.grid_mixture import below, mix_guesses, share_beyond
 
 _NODES = 64
 _CLASSES = 24  # distances below 2 ** 24

@@ -39,7 +39,7 @@ from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, GROUPS
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.messages import COMPRESSED, SCHEMA_TEXT, CloudMessage
-from salpcc.stages.residual_code.archive import (
+from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
     LIBRARY,
     MAGIC,
@@ -48,7 +48,12 @@ from salpcc.stages.residual_code.archive import (
     ScanPayload,
     sequence_number,
 )
-from salpcc.stages.residual_code.passing import PassingLog, passing_chunk, passing_enclosed, passing_records
+from salpcc.stages.residual_code.archive.passing import (
+    PassingLog,
+    passing_chunk,
+    passing_enclosed,
+    passing_records,
+)
 
 
 def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION) -> Message:
@@ -65,7 +70,7 @@ def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION)
 
 
 class ArchiveWriter:
-    """Writes an archive GOP by GOP; inverse of :class:`~salpcc.stages.residual_code.archive_reader.ArchiveReader`."""
+    """Writes an archive GOP by GOP; inverse of :class:`~salpcc.stages.residual_code.archive.reader.ArchiveReader`."""
 
     def __init__(self, stream: BinaryIO, facts: ArchiveFacts, log: Iterable[LogChannel] = ()) -> None:
         """Write what stands before the scans; ``log``: channels whose messages pass through as they are."""

@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.lossless.contract import Lossless, checked
-from salpcc.stages.residual_code.lossless.matches import length_at, longest, new_chains, remember
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.matches import length_at, longest, new_chains, remember
 
 _TITLE, _LEVEL = "Lizard", 20
 _BLOCK = 1 << 17

@@ -15,8 +15,8 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import intensity_of
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
-from salpcc.stages.residual_code.cloud_coder import decode_cloud, encode_cloud, points_of
-from salpcc.stages.residual_code.field_coder import decode_field, encode_field
+from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode_cloud, points_of
+from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 
 
 def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:

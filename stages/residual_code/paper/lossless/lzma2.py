@@ -5,7 +5,7 @@ from __future__ import annotations
 import lzma
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.lossless.contract import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
 
 _TITLE = "LZMA2"
 _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 5, "dict_size": 16 << 20}]

@@ -19,9 +19,10 @@ from salpcc.stages.ground_fit.grid_regions import REGIONS
 from salpcc.stages.predict.grid_prediction import FramePredictor, network_weights
 from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.rings import ring_starts
-from salpcc.stages.residual_code import class_coder, intensity_coder
-from salpcc.stages.residual_code.grid_images import IMAGE_CODERS
-from salpcc.stages.residual_code.grid_payload import (
+from salpcc.stages.residual_code import class_coder
+from salpcc.stages.residual_code.paper import intensity_coder
+from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
+from salpcc.stages.residual_code.paper.grid_payload import (
     CLASSES,
     ELEVATION,
     FLOAT_INTENSITY,
@@ -31,8 +32,8 @@ from salpcc.stages.residual_code.grid_payload import (
     pack,
     unpack,
 )
-from salpcc.stages.residual_code.image_coder import Images
-from salpcc.stages.residual_code.payload import Payload
+from salpcc.stages.residual_code.paper.image_coder import Images
+from salpcc.stages.residual_code.sensor.payload import Payload
 from salpcc.stages.strays.stray_coder import decode_floats, encode_floats
 
 _NOTHING = np.zeros((ROWS, COLUMNS), np.int32)

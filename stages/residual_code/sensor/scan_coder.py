@@ -22,8 +22,8 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.sweep_walk import supports
 from salpcc.stages.predict.rings import ring_starts
-from salpcc.stages.residual_code import class_coder, correction_coder, mask_coder
-from salpcc.stages.residual_code.logged_scan import (
+from salpcc.stages.residual_code import class_coder
+from salpcc.stages.residual_code.message.logged_scan import (
     decode_logged,
     decode_stray_classes,
     encode_intensity,
@@ -31,8 +31,9 @@ from salpcc.stages.residual_code.logged_scan import (
     encode_stray_classes,
     intensity_is_field,
 )
-from salpcc.stages.residual_code.models import GopModels
-from salpcc.stages.residual_code.payload import (
+from salpcc.stages.residual_code.sensor import correction_coder, mask_coder
+from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.payload import (
     CLASSES,
     CLOUD,
     FLOAT_INTENSITY,
