@@ -125,8 +125,8 @@ def predict(
 
     Goes on from where --out stopped.
     """
-    from salpcc.stages.predict.st_lstm.dataset import read_clips
-    from salpcc.stages.predict.st_lstm.train import Recipe, train_predictor
+    from salpcc.stages.predict.paper.st_lstm.dataset import read_clips
+    from salpcc.stages.predict.paper.st_lstm.train import Recipe, train_predictor
 
     check_device(device)
     for root in data:

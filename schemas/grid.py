@@ -49,7 +49,7 @@ class GridPrediction:
 
     Attributes:
         motion: ``(6,)`` int32, from the frame before to this one, in units of
-            :data:`salpcc.stages.predict.odometry.UNITS`.
+            :data:`salpcc.stages.predict.paper.motion.UNITS`.
         level: ``(64, 2000)`` int32, predicted levels; 0 where there is no prediction.
         spread: ``(64, 2000)`` uint8, 0 to 15, how far off they are expected to be.
     """

@@ -25,7 +25,7 @@ from salpcc.stages.evaluate.grid_frames import Frame, paper_frames, read_gops
 from salpcc.stages.evaluate.record import record
 from salpcc.stages.evaluate.schema import ABLATIONS
 from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT
-from salpcc.stages.predict.odometry import UNITS
+from salpcc.stages.predict.paper.motion import UNITS
 from salpcc.stages.residual_code.paper.grid_context import ContextImages
 from salpcc.stages.residual_code.paper.grid_residuals import ground_first, residuals, to_symbols
 from salpcc.stages.residual_code.paper.image_coder import Images
@@ -94,7 +94,7 @@ def _context_bytes(
 
 def _warped(frame: Frame, last: Frame) -> NDArray[np.int32]:
     """The last frame moved into this one, by the warp that the network starts from."""
-    from salpcc.stages.predict.st_lstm.warp import pose_of, warp
+    from salpcc.stages.predict.paper.st_lstm.warp import pose_of, warp
 
     if frame.predicted.motion is None:
         return last.sweep.level

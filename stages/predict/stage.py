@@ -8,8 +8,8 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.grid_shards import grid_predictions_to_table, table_to_grids
 from salpcc.schemas.shards import predictions_to_table, table_to_sweeps
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.predict.grid_prediction import predict_gop
-from salpcc.stages.predict.prediction import predict_sweeps
+from salpcc.stages.predict.paper.frames import predict_gop
+from salpcc.stages.predict.values import predict_sweeps
 
 VERSION = 5
 

@@ -15,7 +15,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.paper_grid import grid_to_scan
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import sweep_to_scan
-from salpcc.stages.predict.prediction import predict_sweeps
+from salpcc.stages.predict.values import predict_sweeps
 from salpcc.stages.residual_code.paper.grid_coder import decode_grids
 from salpcc.stages.residual_code.paper.grid_payload import GRID_CODEC
 from salpcc.stages.residual_code.sensor.gop_models import GopModels

@@ -18,7 +18,7 @@ from salpcc.stages.lattice.list_motion import places, redo
 from salpcc.stages.lattice.order import azimuth_keys
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
-from salpcc.stages.predict.grid_prediction import predict_gop
+from salpcc.stages.predict.paper.frames import predict_gop
 from salpcc.stages.residual_code.gop import decode_any, encode_gop
 from salpcc.stages.residual_code.paper import grid_payload
 from salpcc.stages.residual_code.paper.grid_coder import GridModels, encode_grid

@@ -1,7 +1,7 @@
 """Features of one return's intensity: neighbours' intensities and the whole sweep's ranges.
 
 Ranges are coded first, so ranges of the returns to the right and below are known too. Same exact
-arithmetic and layout as :mod:`salpcc.stages.predict.learned.features`.
+arithmetic and layout as :mod:`salpcc.stages.predict.learned.range_features`.
 
 Slots are lanes 2 to 19 of a vector of 32: six returns to the left on the current ring, eight of the ring above, four
 of the one above that. Lanes 20 to 23 are returns of the ring below, 24 to 26 those to the right: only ranges.
@@ -12,8 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.features import rounded, squash
-from salpcc.stages.predict.learned.ring_rows import PAD
+from salpcc.stages.predict.learned.range_features import rounded, squash
 from salpcc.stages.predict.learned.vectors import (
     choose,
     inline,
@@ -27,6 +26,7 @@ from salpcc.stages.predict.learned.vectors import (
     store,
     summed,
 )
+from salpcc.stages.predict.ring_rows import PAD
 
 LEFT = 6
 INPUTS = 56

@@ -16,7 +16,6 @@ from salpcc.stages.entropy.range_coder import (
     start_decoder,
 )
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.predict.learned.features import SCALE_BITS
 from salpcc.stages.predict.learned.intensity_features import (
     GAPS,
     INPUTS,
@@ -36,8 +35,7 @@ from salpcc.stages.predict.learned.previous_features import (
 )
 from salpcc.stages.predict.learned.previous_features import LANES as SEEN
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
-from salpcc.stages.predict.learned.ring_rows import PAD, align, place_rings
-from salpcc.stages.predict.learned.sweep_walk import laser_constants
+from salpcc.stages.predict.learned.range_features import SCALE_BITS
 from salpcc.stages.predict.learned.value_intervals import (
     BITS,
     LANES,
@@ -50,6 +48,8 @@ from salpcc.stages.predict.learned.value_intervals import (
     value_start,
 )
 from salpcc.stages.predict.learned.vectors import kernel, load, push, spread, store
+from salpcc.stages.predict.ring_rows import PAD, align, place_rings
+from salpcc.stages.predict.sweep_walk import laser_constants
 
 PREDICT, DECODE, COLLECT = 0, 1, 2
 _NO_INTERVALS = np.zeros((0, 2), np.uint32)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SalpccError
-from salpcc.stages.predict.learned.features import LIMIT
+from salpcc.stages.predict.learned.range_features import LIMIT
 from salpcc.stages.predict.learned.vectors import (
     cast,
     dot,

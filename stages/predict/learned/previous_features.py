@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned import features
 from salpcc.stages.predict.learned import intensity_features as intensities
-from salpcc.stages.predict.learned.features import NO_ERROR, rounded, squash
-from salpcc.stages.predict.learned.features import PREDICTORS as OF_SWEEP
+from salpcc.stages.predict.learned import range_features as features
+from salpcc.stages.predict.learned.range_features import NO_ERROR, rounded, squash
+from salpcc.stages.predict.learned.range_features import PREDICTORS as OF_SWEEP
 from salpcc.stages.predict.learned.vectors import (
     choose,
     inline,

@@ -21,8 +21,8 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, arctan2, sin_cos
 from salpcc.stages.lattice.untwist import inverse, moved, twist
 from salpcc.stages.predict.hundredths import intensity_levels
-from salpcc.stages.predict.learned.ring_rows import PAD, SLACK
-from salpcc.stages.predict.learned.sweep_walk import TICKS
+from salpcc.stages.predict.ring_rows import PAD, SLACK
+from salpcc.stages.predict.sweep_walk import TICKS
 
 UNKNOWN_INTENSITY = 25
 

@@ -16,17 +16,6 @@ from salpcc.stages.entropy.range_coder import (
     start_decoder,
 )
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.predict.learned.features import (
-    GAPS,
-    INPUTS,
-    NO_ERROR,
-    PREDICTORS,
-    SCALE_BITS,
-    point_features,
-    ring_gaps,
-    slot_places,
-    squashed_errors,
-)
 from salpcc.stages.predict.learned.local_plane import LEFT
 from salpcc.stages.predict.learned.mixture import (
     BITS,
@@ -48,9 +37,20 @@ from salpcc.stages.predict.learned.previous_features import (
 from salpcc.stages.predict.learned.previous_features import INPUTS as PREVIOUS_INPUTS
 from salpcc.stages.predict.learned.previous_features import PREDICTORS as PREVIOUS_PREDICTORS
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
-from salpcc.stages.predict.learned.ring_rows import PAD, align, close_ring, row_size
-from salpcc.stages.predict.learned.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
+from salpcc.stages.predict.learned.range_features import (
+    GAPS,
+    INPUTS,
+    NO_ERROR,
+    PREDICTORS,
+    SCALE_BITS,
+    point_features,
+    ring_gaps,
+    slot_places,
+    squashed_errors,
+)
 from salpcc.stages.predict.learned.vectors import kernel, lane, load, pick, push, spread, store
+from salpcc.stages.predict.ring_rows import PAD, align, close_ring, row_size
+from salpcc.stages.predict.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
 
 LEVEL_LIMIT = 1 << 17  # levels of a sweep; a return beyond cannot be coded here
 HEADER = 3

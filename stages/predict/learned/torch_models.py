@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from salpcc.stages.predict.learned.features import LIMIT, SCALE
 from salpcc.stages.predict.learned.mixture import BITS, SHARED
+from salpcc.stages.predict.learned.range_features import LIMIT, SCALE
 from salpcc.stages.predict.learned.value_intervals import OUTPUTS, VALUES
 
 if TYPE_CHECKING:

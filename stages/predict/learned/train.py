@@ -20,12 +20,12 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import scan_to_sweep
-from salpcc.stages.predict.learned.export import quantize_network
 from salpcc.stages.predict.learned.intensity_model import collect_intensity
 from salpcc.stages.predict.learned.network import Network, save_network
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
+from salpcc.stages.predict.learned.quantise import quantize_network
 from salpcc.stages.predict.learned.range_model import collect_ranges
-from salpcc.stages.predict.learned.sweep_walk import supports
+from salpcc.stages.predict.sweep_walk import supports
 
 if TYPE_CHECKING:
     import torch

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.rans import LOWEST, Words, finish, push
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.predict.static.count_tables import StaticTables, table_of
 from salpcc.stages.predict.static.intensities import ESCAPE, walk_intensities
 from salpcc.stages.predict.static.levels import laser_table, walk_levels
-from salpcc.stages.predict.static.tables import StaticTables, table_of
 from salpcc.stages.predict.static.tokens import put
 
 Starts = NDArray[np.int64]

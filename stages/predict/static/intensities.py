@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from salpcc.stages.entropy.rans import begin, drop, ended, find, refill
-from salpcc.stages.predict.learned.sweep_walk import longest_ring
+from salpcc.stages.predict.sweep_walk import longest_ring
 
 VALUES = 101
 ESCAPE = 101  # followed by 7 even bits

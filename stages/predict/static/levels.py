@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.rans import begin, ended
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, sin_cos
-from salpcc.stages.predict.learned.sweep_walk import longest_ring
 from salpcc.stages.predict.static.tokens import get
+from salpcc.stages.predict.sweep_walk import longest_ring
 
 F64 = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.rans import TOTAL
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import intensity_levels
-from salpcc.stages.predict.rings import ring_starts
+from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.predict.static import intensities, levels
 from salpcc.stages.predict.static.coder import intensity_contexts, level_contexts
-from salpcc.stages.predict.static.tables import STEPS, StaticTables, check, save_tables, table_of
+from salpcc.stages.predict.static.count_tables import STEPS, StaticTables, check, save_tables, table_of
 from salpcc.stages.predict.static.tokens import TOKENS, count_tokens
 
 TRAINED_STEPS = (1, 2, 3, 5, 8, 10, 12, 15, 20, 30, 60)

@@ -16,9 +16,9 @@ from salpcc.stages.entropy.integers import decode_integers, encode_integers, int
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.ground_fit.grid_planes import PLANE_LIMIT, ground_of, predict_ground
 from salpcc.stages.ground_fit.grid_regions import REGIONS
-from salpcc.stages.predict.grid_prediction import FramePredictor, network_weights
-from salpcc.stages.predict.prediction import INTENSITY_OF_LEVEL, intensity_levels
-from salpcc.stages.predict.rings import ring_starts
+from salpcc.stages.predict.paper.frames import FramePredictor, network_weights
+from salpcc.stages.predict.ring_starts import ring_starts
+from salpcc.stages.predict.values import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.paper import intensity_coder
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS

@@ -1,6 +1,6 @@
 """Levels of a range image by contexts: a mixture of what all guesses say, corrected by what was seen before.
 
-Each guess of :mod:`salpcc.stages.predict.grid_neighbours` is trusted by how far off it was close by; guess and
+Each guess of :mod:`salpcc.stages.predict.paper.grid_neighbours` is trusted by how far off it was close by; guess and
 trust make a logistic distribution, and all of them, with their weighted mean, a mixture. A level is coded as
 above or not above the middle, then the class of its distance (1, 2-3, 4-7, ...) in unary, then the distance in its
 class. The mixture gives every bit a probability; :mod:`.mixing` mixes it with those of seven contexts.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
 from salpcc.stages.entropy.mixing import code_bit, code_mixed_bit, odds
-from salpcc.stages.predict.grid_neighbours import BEFORE, GUESSES, guess
+from salpcc.stages.predict.paper.grid_neighbours import BEFORE, GUESSES, guess
 from salpcc.stages.residual_code.paper.grid_mixture import below, mix_guesses, share_beyond
 
 _NODES = 64
@@ -78,7 +78,7 @@ def code_levels(
     Args:
         level: ``(64, 2000)``; the decoder writes it.
         frame, plane: 1/r predicted, in levels; 0 for none. ``spreads`` 0 to 15 belongs to the frame.
-        slopes: ``(64,)``, see :func:`salpcc.stages.predict.grid_neighbours.guess`.
+        slopes: ``(64,)``, see :func:`salpcc.stages.predict.paper.grid_neighbours.guess`.
         metres: per level.
         chances, counts, weights: what is learnt through a GOP.
 

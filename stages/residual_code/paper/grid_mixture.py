@@ -1,6 +1,6 @@
 """What all guesses of a cell's level say together: a mixture of logistic distributions.
 
-Each guess of :mod:`salpcc.stages.predict.grid_neighbours` is trusted by how far off it was close by.
+Each guess of :mod:`salpcc.stages.predict.paper.grid_neighbours` is trusted by how far off it was close by.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS
 from salpcc.stages.entropy.mixing import logistic
-from salpcc.stages.predict.grid_neighbours import GUESSES
+from salpcc.stages.predict.paper.grid_neighbours import GUESSES
 
 
 @njit(cache=True, error_model="numpy")

@@ -19,15 +19,15 @@ from salpcc.stages.entropy.intervals import encode_intervals
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
-from salpcc.stages.predict.learned.models import EFFORTS, LearnedModels, load_models
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
+from salpcc.stages.predict.learned.shipped import EFFORTS, LearnedModels, load_models
 from salpcc.stages.predict.static.coder import (
     decode_intensities,
     decode_levels,
     encode_intensities,
     encode_levels,
 )
-from salpcc.stages.predict.static.tables import StaticTables, shipped
+from salpcc.stages.predict.static.count_tables import StaticTables, shipped
 from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.sensor import correction_coder, mask_coder
 

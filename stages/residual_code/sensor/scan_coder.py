@@ -20,8 +20,8 @@ from salpcc.stages.lattice.publish import (
 )
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
-from salpcc.stages.predict.learned.sweep_walk import supports
-from salpcc.stages.predict.rings import ring_starts
+from salpcc.stages.predict.ring_starts import ring_starts
+from salpcc.stages.predict.sweep_walk import supports
 from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message.logged_scan import (
     decode_logged,

@@ -18,8 +18,8 @@ from salpcc.stages.segment.point_branch import PointTensors
 from salpcc.stages.segment.range_image import COLUMNS, RANGE
 from salpcc.stages.segment.training.crops import Crop, cut, distort, mirror
 from salpcc.stages.segment.training.labelled import LabelledImage, LabelledScans, read_labelled, sequence_of
-from salpcc.stages.segment.training.mixing import Instance, instances_of, mix, paste
 from salpcc.stages.segment.training.recipe import SampleConfig
+from salpcc.stages.segment.training.scan_mixing import Instance, instances_of, mix, paste
 
 IGNORED = -1
 _BANK = 400  # instances kept of each class

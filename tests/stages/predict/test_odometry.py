@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from salpcc.stages.ingest.paper_grid import directions, nearest_of_cells, row_elevations
-from salpcc.stages.predict.odometry import UNITS, find_motion, rotation
+from salpcc.stages.predict.paper.motion import UNITS, find_motion, rotation
 
 ELEVATION = row_elevations([])
 

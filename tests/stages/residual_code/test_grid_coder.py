@@ -11,7 +11,7 @@ from salpcc.schemas.grid import COLUMNS, ROWS, GridSweep
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
-from salpcc.stages.predict.grid_prediction import predict_gop
+from salpcc.stages.predict.paper.frames import predict_gop
 from salpcc.stages.residual_code.paper.grid_coder import GridModels, decode_grids, encode_grid
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.paper.grid_payload import content_crc, unpack

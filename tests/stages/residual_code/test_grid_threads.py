@@ -8,8 +8,8 @@ import torch
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
-from salpcc.stages.predict.grid_prediction import predict_gop
-from salpcc.stages.predict.st_lstm import load_model, predictor
+from salpcc.stages.predict.paper.frames import predict_gop
+from salpcc.stages.predict.paper.st_lstm import load_model, predictor
 from salpcc.stages.residual_code.paper.grid_coder import GridModels, decode_grids, encode_grid
 
 GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")

@@ -5,7 +5,7 @@ import pytest
 
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned.intensity_model import decode_intensity, predict_intensity
-from salpcc.stages.predict.learned.models import EFFORTS, load_models
+from salpcc.stages.predict.learned.shipped import EFFORTS, load_models
 
 from .conftest import Returns, coded
 

@@ -8,8 +8,6 @@ import pytest
 from numba import njit
 
 from salpcc.schemas.errors import SalpccError
-from salpcc.stages.predict.learned.export import quantize_network
-from salpcc.stages.predict.learned.models import EFFORTS, load_models
 from salpcc.stages.predict.learned.network import (
     NEVER,
     Layers,
@@ -20,6 +18,8 @@ from salpcc.stages.predict.learned.network import (
     pack,
     save_network,
 )
+from salpcc.stages.predict.learned.quantise import quantize_network
+from salpcc.stages.predict.learned.shipped import EFFORTS, load_models
 
 
 def in_integers(network: Network, x: np.ndarray, bias: np.ndarray, laser: int) -> np.ndarray:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.predict.learned.models import EFFORTS, load_models
 from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, decode_ranges, predict_ranges
+from salpcc.stages.predict.learned.shipped import EFFORTS, load_models
 
 from .conftest import Returns, range_stream
 

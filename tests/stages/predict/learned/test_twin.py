@@ -12,10 +12,10 @@ import numpy as np
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.predict.learned.intensity_model import predict_intensity
-from salpcc.stages.predict.learned.models import load_models
+from salpcc.stages.predict.learned.shipped import load_models
 from salpcc.stages.predict.learned.previous_sweep import warp
 from salpcc.stages.predict.learned.range_model import predict_ranges
-from salpcc.stages.predict.rings import ring_starts
+from salpcc.stages.predict.ring_starts import ring_starts
 sensor = load_sensor("hdl64e")
 rng = np.random.default_rng(11)
 laser = np.repeat([3, 4, 5, 6, 9, 40, 41], [30, 28, 0, 25, 3, 1, 20]).astype(np.uint8)

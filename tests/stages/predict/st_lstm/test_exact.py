@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from salpcc.schemas.errors import SalpccError
-from salpcc.stages.predict.st_lstm.arithmetic import (
+from salpcc.stages.predict.paper.st_lstm.arithmetic import (
     ONE,
     TOP,
     Exact,
@@ -14,9 +14,9 @@ from salpcc.stages.predict.st_lstm.arithmetic import (
     sigmoid_table,
     tanh_table,
 )
-from salpcc.stages.predict.st_lstm.checkpoint import digest, export, load, save
-from salpcc.stages.predict.st_lstm.inputs import N_FEATURES
-from salpcc.stages.predict.st_lstm.network import Shape, first_state, from_patches, step, to_patches
+from salpcc.stages.predict.paper.st_lstm.checkpoint import digest, export, load, save
+from salpcc.stages.predict.paper.st_lstm.inputs import N_FEATURES
+from salpcc.stages.predict.paper.st_lstm.network import Shape, first_state, from_patches, step, to_patches
 
 SMALL = Shape(width=8, depth=2, handed=2, head=8)
 

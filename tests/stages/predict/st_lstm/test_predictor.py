@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.predict.st_lstm import Memory, load_model, predict_frame
-from salpcc.stages.predict.st_lstm.checkpoint import SHIPPED
-from salpcc.stages.predict.st_lstm.dataset import read_clips
-from salpcc.stages.predict.st_lstm.inputs import N_FEATURES
-from salpcc.stages.predict.st_lstm.network import first_state, step
+from salpcc.stages.predict.paper.st_lstm import Memory, load_model, predict_frame
+from salpcc.stages.predict.paper.st_lstm.checkpoint import SHIPPED
+from salpcc.stages.predict.paper.st_lstm.dataset import read_clips
+from salpcc.stages.predict.paper.st_lstm.inputs import N_FEATURES
+from salpcc.stages.predict.paper.st_lstm.network import first_state, step
 
 MOTION = np.array([-1.1, 0.01, -0.02, 1e-3, 2e-3, 0.01])
 

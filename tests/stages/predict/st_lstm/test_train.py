@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from salpcc.schemas.errors import UsageError
-from salpcc.stages.predict.st_lstm.checkpoint import load
-from salpcc.stages.predict.st_lstm.dataset import Clip, read_clips
-from salpcc.stages.predict.st_lstm.network import Shape
-from salpcc.stages.predict.st_lstm.train import Recipe, rate_at, train_predictor
+from salpcc.stages.predict.paper.st_lstm.checkpoint import load
+from salpcc.stages.predict.paper.st_lstm.dataset import Clip, read_clips
+from salpcc.stages.predict.paper.st_lstm.network import Shape
+from salpcc.stages.predict.paper.st_lstm.train import Recipe, rate_at, train_predictor
 
 SMALL = Shape(width=4, depth=2, handed=1, head=4)
 QUICK = Recipe(iterations=6, rounded_iterations=4, steps=2, columns=64, batch=1, validate_every=5)

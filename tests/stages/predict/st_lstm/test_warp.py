@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.predict.odometry import rotation
-from salpcc.stages.predict.st_lstm.warp import CENTRES, COVERED, NOTHING, after, pose_of, warp
+from salpcc.stages.predict.paper.motion import rotation
+from salpcc.stages.predict.paper.st_lstm.warp import CENTRES, COVERED, NOTHING, after, pose_of, warp
 
 AZIMUTH = (1.0 - 2.0 * (np.arange(COLUMNS) + 0.5) / COLUMNS) * np.pi
 BEAMS = np.stack(

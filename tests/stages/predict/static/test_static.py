@@ -12,9 +12,9 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import scan_to_sweep
-from salpcc.stages.predict.rings import ring_starts
+from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.predict.static import coder
-from salpcc.stages.predict.static.tables import STEPS, load_tables, save_tables, shipped, table_of
+from salpcc.stages.predict.static.count_tables import STEPS, load_tables, save_tables, shipped, table_of
 from salpcc.stages.predict.static.tokens import ESCAPE
 from salpcc.stages.predict.static.train import to_frequencies, train_tables
 

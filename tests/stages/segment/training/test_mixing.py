@@ -6,7 +6,7 @@ import pytest
 from salpcc.stages.segment.range_image import COLUMNS, RANGE, Z, project
 from salpcc.stages.segment.training.crops import Crop, cut, distort, mirror
 from salpcc.stages.segment.training.labelled import LabelledImage
-from salpcc.stages.segment.training.mixing import instances_of, mix, paste
+from salpcc.stages.segment.training.scan_mixing import instances_of, mix, paste
 
 ROAD, BUILDING, CAR = 9, 13, 1
 

@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
 from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT, LEVEL_LIMIT, directions
-from salpcc.stages.predict.odometry import UNITS, find_motion
+from salpcc.stages.predict.paper.motion import UNITS, find_motion
 
 if TYPE_CHECKING:
-    from salpcc.stages.predict.st_lstm import Memory
+    from salpcc.stages.predict.paper.st_lstm import Memory
 
 _MM = 0.001
 
 
 def network_weights() -> bytes:
     """Return the 8 bytes that name the prediction network's weights."""
-    from salpcc.stages.predict.st_lstm import load_model
+    from salpcc.stages.predict.paper.st_lstm import load_model
 
     return load_model().digest[:8]
 
@@ -41,7 +41,9 @@ class FramePredictor:
         if motion is None or self._last is None:
             self._memory = None
             return GridPrediction()
-        from salpcc.stages.predict.st_lstm import predict_frame  # torch: the sensor profile goes without
+        from salpcc.stages.predict.paper.st_lstm import (
+            predict_frame,  # torch: the sensor profile goes without
+        )
 
         found, self._memory = predict_frame(self._memory, self._last, motion * UNITS, self._elevation)
         level = np.floor(found.ranges * _MM / self._accuracy + 0.5)

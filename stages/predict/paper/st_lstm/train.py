@@ -13,12 +13,12 @@ import torch
 from torch import Tensor
 
 from salpcc.schemas.errors import UsageError
-from salpcc.stages.predict.st_lstm.arithmetic import ONE, Trainable
-from salpcc.stages.predict.st_lstm.batches import Window, draw, whole
-from salpcc.stages.predict.st_lstm.checkpoint import export, save
-from salpcc.stages.predict.st_lstm.dataset import Clip
-from salpcc.stages.predict.st_lstm.inputs import FARTHEST, NEIGHBOURS
-from salpcc.stages.predict.st_lstm.network import Shape, first_state, mixed_ranges, step
+from salpcc.stages.predict.paper.st_lstm.arithmetic import ONE, Trainable
+from salpcc.stages.predict.paper.st_lstm.batches import Window, draw, whole
+from salpcc.stages.predict.paper.st_lstm.checkpoint import export, save
+from salpcc.stages.predict.paper.st_lstm.dataset import Clip
+from salpcc.stages.predict.paper.st_lstm.inputs import FARTHEST, NEIGHBOURS
+from salpcc.stages.predict.paper.st_lstm.network import Shape, first_state, mixed_ranges, step
 
 Log = Callable[[str], None]
 VALIDATION = "06"  # as in the paper

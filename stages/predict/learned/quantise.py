@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.features import LIMIT, SCALE
 from salpcc.stages.predict.learned.network import Network
+from salpcc.stages.predict.learned.range_features import LIMIT, SCALE
 
 F64 = NDArray[np.float64]
 

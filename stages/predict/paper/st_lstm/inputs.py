@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.predict.st_lstm.warp import COVERED, FILLED, Image
+from salpcc.stages.predict.paper.st_lstm.warp import COVERED, FILLED, Image
 
 FARTHEST = 2000  # mm, offsets beyond are cut
 # Neighbours of a cell in the warped frame whose ranges the prediction may take part of.

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.sweep_walk import longest_ring
+from salpcc.stages.predict.sweep_walk import longest_ring
 
 PAD = 8  # returns of a margin
 SLACK = 8  # room behind the last margin that vectors may read

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from salpcc.stages.predict.st_lstm.predictor import Memory, Model, Prediction, load_model, predict_frame
+from salpcc.stages.predict.paper.st_lstm.predictor import Memory, Model, Prediction, load_model, predict_frame
 
 __all__ = ["Memory", "Model", "Prediction", "load_model", "predict_frame"]

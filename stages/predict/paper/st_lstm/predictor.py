@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.st_lstm.arithmetic import Exact
-from salpcc.stages.predict.st_lstm.checkpoint import SHIPPED, digest, load
-from salpcc.stages.predict.st_lstm.inputs import error_of, gather
-from salpcc.stages.predict.st_lstm.network import Shape, State, first_state, step
-from salpcc.stages.predict.st_lstm.warp import F64, Image, after, pose_of, warp
+from salpcc.stages.predict.paper.st_lstm.arithmetic import Exact
+from salpcc.stages.predict.paper.st_lstm.checkpoint import SHIPPED, digest, load
+from salpcc.stages.predict.paper.st_lstm.inputs import error_of, gather
+from salpcc.stages.predict.paper.st_lstm.network import Shape, State, first_state, step
+from salpcc.stages.predict.paper.st_lstm.warp import F64, Image, after, pose_of, warp
 
 SPREADS = 16
 

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from salpcc.stages.predict.st_lstm.arithmetic import Arithmetic
-from salpcc.stages.predict.st_lstm.inputs import N_FEATURES, N_OFFSETS
+from salpcc.stages.predict.paper.st_lstm.arithmetic import Arithmetic
+from salpcc.stages.predict.paper.st_lstm.inputs import N_FEATURES, N_OFFSETS
 
 PATCH = (4, 8)
 _CELLS = PATCH[0] * PATCH[1]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from salpcc.schemas.grid import COLUMNS
-from salpcc.stages.predict.st_lstm.dataset import Clip
+from salpcc.stages.predict.paper.st_lstm.dataset import Clip
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,12 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.intensity_model import predict_intensity
-from salpcc.stages.predict.learned.models import load_models
 from salpcc.stages.predict.learned.previous_sweep import warp
 from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, count_levels, predict_ranges
-from salpcc.stages.predict.learned.sweep_walk import supports
-from salpcc.stages.predict.rings import ring_starts
+from salpcc.stages.predict.learned.shipped import load_models
+from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.predict.static.coder import intensity_contexts, level_contexts
+from salpcc.stages.predict.sweep_walk import supports
 
 __all__ = ["INTENSITY_OF_LEVEL", "effective_effort", "intensity_levels", "predict", "predict_sweeps"]
 

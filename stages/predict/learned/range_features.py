@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.predict.learned.local_plane import LEFT, SECOND, UPPER, around, fit_plane, residuals, weigh
-from salpcc.stages.predict.learned.ring_rows import PAD
 from salpcc.stages.predict.learned.vectors import (
     Lanes,
     cast,
@@ -34,6 +33,7 @@ from salpcc.stages.predict.learned.vectors import (
     store,
     whole,
 )
+from salpcc.stages.predict.ring_rows import PAD
 
 PREDICTORS = 10
 INPUTS = 72

@@ -14,8 +14,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from salpcc.schemas.errors import SalpccError
-from salpcc.stages.predict.st_lstm.arithmetic import LARGEST_WEIGHT, ONE, Layer, Trainable
-from salpcc.stages.predict.st_lstm.network import Shape
+from salpcc.stages.predict.paper.st_lstm.arithmetic import LARGEST_WEIGHT, ONE, Layer, Trainable
+from salpcc.stages.predict.paper.st_lstm.network import Shape
 
 SHIPPED = Path(__file__).parent / "weights" / "st_lstm.safetensors"
 

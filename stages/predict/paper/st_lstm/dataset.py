@@ -16,9 +16,9 @@ from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT, directions, nearest_
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.base import Source
 from salpcc.stages.lattice.motion_search import is_raw, solve_motion
-from salpcc.stages.predict.odometry import UNITS, find_motion
-from salpcc.stages.predict.st_lstm.inputs import Inputs, gather
-from salpcc.stages.predict.st_lstm.warp import F64, Image, after, pose_of, warp
+from salpcc.stages.predict.paper.motion import UNITS, find_motion
+from salpcc.stages.predict.paper.st_lstm.inputs import Inputs, gather
+from salpcc.stages.predict.paper.st_lstm.warp import F64, Image, after, pose_of, warp
 
 _ACCURACY = 0.001  # metres
 
