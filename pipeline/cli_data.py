@@ -75,7 +75,7 @@ def report(
     ] = None,
 ) -> None:
     """Rebuild the tables, plots and page of a run from what it measured."""
-    from salpcc.stages.evaluate.report import build
+    from salpcc.stages.evaluate.report.write import build
 
     for folder in (out, *(beside or [])):
         if not (folder / "report").is_dir():

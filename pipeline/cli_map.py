@@ -144,7 +144,7 @@ def localise(
     from salpcc.pipeline.localise import LocaliseRequest
     from salpcc.pipeline.localise import localise as run
     from salpcc.stages.evaluate.baselines import names as baseline_names
-    from salpcc.stages.evaluate.downstream import registration_figures
+    from salpcc.stages.evaluate.report.downstream import registration_figures
 
     chosen = tuple(baseline_names(rivals))
     rows = registration_figures(

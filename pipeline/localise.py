@@ -20,8 +20,8 @@ from salpcc.pipeline.plan import missing_root
 from salpcc.pipeline.progress import Report, Silent, bar
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.stages.evaluate import record
-from salpcc.stages.evaluate.schema import REGISTRATION
+from salpcc.stages.evaluate.report import record
+from salpcc.stages.evaluate.report.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.mapping.open3d_library import load_open3d
 from salpcc.stages.mapping.poses import poses_of, read_poses

@@ -18,7 +18,7 @@ from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef, ShardRef, digest_of
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.schema import REGISTRATION
+from salpcc.stages.evaluate.report.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.mapping.registration import Method, icp, rotation_error, translation_error
 from salpcc.stages.residual_code.archive.reader import ArchiveReader

@@ -15,8 +15,8 @@ from salpcc.pipeline.map_request import MapRequest
 from salpcc.pipeline.map_tiles import TileResult, read_tile
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.files import atomic
-from salpcc.stages.evaluate import record
-from salpcc.stages.evaluate.schema import MAP_QUALITY, PICTURES
+from salpcc.stages.evaluate.report import record
+from salpcc.stages.evaluate.report.schema import MAP_QUALITY, PICTURES
 from salpcc.stages.mapping.picture import busiest, pictures
 from salpcc.stages.mapping.voxel import Voxels
 

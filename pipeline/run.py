@@ -23,8 +23,9 @@ from salpcc.schemas.config import UNBOUNDED, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic, is_url
 from salpcc.schemas.work import ScanError
-from salpcc.stages.evaluate import record, report
-from salpcc.stages.evaluate.schema import BASELINES, FAILURES, METRICS, TIMES
+from salpcc.stages.evaluate.report import record
+from salpcc.stages.evaluate.report import write as report
+from salpcc.stages.evaluate.report.schema import BASELINES, FAILURES, METRICS, TIMES
 from salpcc.stages.ingest.sources.simulated import Simulated
 
 

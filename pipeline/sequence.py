@@ -29,9 +29,10 @@ from salpcc.schemas.shards import list_array
 from salpcc.schemas.work import GopSource, Known, ScanRef, ShardRef, digest_of
 from salpcc.stages.coding import STAGES
 from salpcc.stages.evaluate import stage as evaluate
-from salpcc.stages.evaluate.baseline_figures import OURS
-from salpcc.stages.evaluate.baselines import BASELINES, measure
+from salpcc.stages.evaluate.baselines import BASELINES
+from salpcc.stages.evaluate.baselines import measure_baseline as measure
 from salpcc.stages.evaluate.baselines.apart import measure_scans
+from salpcc.stages.evaluate.report.baseline_figures import OURS
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.bag import clouds_of
 from salpcc.stages.lattice.sensor_model import load_sensor

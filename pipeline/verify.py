@@ -18,8 +18,8 @@ from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.evaluate.match import kept_points
-from salpcc.stages.evaluate.metrics import point_errors, same_bits
+from salpcc.stages.evaluate.measures.match import kept_points
+from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits
 from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
 from salpcc.stages.ingest.sources import SOURCES

@@ -19,9 +19,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from salpcc.stages.evaluate.layout.comparison_plots import comparison_plots
-from salpcc.stages.evaluate.layout.report_tables import all_tables, summary_table
-from salpcc.stages.evaluate.layout.tables import Column, Table
+from salpcc.stages.evaluate.report.layout.comparison_plots import comparison_plots
+from salpcc.stages.evaluate.report.layout.report_tables import all_tables, summary_table
+from salpcc.stages.evaluate.report.layout.tables import Column, Table
 
 BLOCK = re.compile(r"(<!-- figures:begin (\w+) -->\n).*?(<!-- figures:end -->)", re.DOTALL)
 BENCH = "bench"

@@ -21,9 +21,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.grid_frames import Frame, paper_frames, read_gops
-from salpcc.stages.evaluate.record import record
-from salpcc.stages.evaluate.schema import ABLATIONS
+from salpcc.stages.evaluate.measures.grid_frames import Frame, paper_frames, read_gops
+from salpcc.stages.evaluate.report.record import record
+from salpcc.stages.evaluate.report.schema import ABLATIONS
 from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT
 from salpcc.stages.predict.paper.motion import UNITS
 from salpcc.stages.residual_code.paper.grid_context import ContextImages

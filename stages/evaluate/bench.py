@@ -23,10 +23,10 @@ from salpcc.schemas.config import Effort
 from salpcc.schemas.errors import SalpccError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.baselines.contract import FLOAT32_SLACK, Baseline
+from salpcc.stages.evaluate.baselines.baseline import FLOAT32_SLACK, Baseline
 from salpcc.stages.evaluate.baselines.ours import Coded, decode_group, encode_group
-from salpcc.stages.evaluate.machine import describe_machine
-from salpcc.stages.evaluate.metrics import point_errors, same_bits
+from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits
+from salpcc.stages.evaluate.report.machine import describe_machine
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.simulated import Simulated
 

@@ -19,10 +19,10 @@ import pyarrow as pa
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.grid_frames import Frame, paper_frames, read_gops
-from salpcc.stages.evaluate.metrics import compression_rate
-from salpcc.stages.evaluate.record import record
-from salpcc.stages.evaluate.schema import CODERS as CODERS_SCHEMA
+from salpcc.stages.evaluate.measures.grid_frames import Frame, paper_frames, read_gops
+from salpcc.stages.evaluate.measures.metrics import compression_rate
+from salpcc.stages.evaluate.report.record import record
+from salpcc.stages.evaluate.report.schema import CODERS as CODERS_SCHEMA
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.paper.lossless import CODERS, Lossless
 

@@ -1,7 +1,7 @@
 """The evaluate stage: measure what an archive gives back, one METRICS row per scan.
 
 It is handed decoded scans as an iterator and never the encoder's copy, so what it measures is what a user
-would get. Columns: :data:`salpcc.stages.evaluate.schema.METRICS`.
+would get. Columns: :data:`salpcc.stages.evaluate.report.schema.METRICS`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import KEPT
-from salpcc.stages.evaluate.confusion import class_confusion, group_counts
-from salpcc.stages.evaluate.match import kept_points
-from salpcc.stages.evaluate.metrics import point_errors, same_bits, symmetric_distance
-from salpcc.stages.evaluate.schema import METRICS, VERSION
+from salpcc.stages.evaluate.measures.match import kept_points
+from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits, symmetric_distance
+from salpcc.stages.evaluate.report.schema import METRICS, VERSION
 from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
+from salpcc.stages.segment.confusion import class_confusion, group_counts
 
 __all__ = ["VERSION", "run"]
 

@@ -27,7 +27,7 @@ from salpcc.pipeline.map_request import MapRequest
 from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError, UsageError
-from salpcc.stages.evaluate.downstream import registration_figures
+from salpcc.stages.evaluate.report.downstream import registration_figures
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import load_sensor

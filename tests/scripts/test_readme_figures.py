@@ -12,11 +12,11 @@ import pyarrow as pa
 import pytest
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate import report
 from salpcc.stages.evaluate.baselines import BASELINES as CODECS
-from salpcc.stages.evaluate.baselines.measure import measure
-from salpcc.stages.evaluate.record import record
-from salpcc.stages.evaluate.schema import BASELINES, METRICS
+from salpcc.stages.evaluate.baselines.measure_baseline import measure
+from salpcc.stages.evaluate.report import write as report
+from salpcc.stages.evaluate.report.record import record
+from salpcc.stages.evaluate.report.schema import BASELINES, METRICS
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "readme_figures.py"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from salpcc.schemas.errors import UsageError
+from salpcc.stages.evaluate.baselines.baseline import Baseline
 from salpcc.stages.evaluate.baselines.cloudini import CLOUDINI
-from salpcc.stages.evaluate.baselines.contract import Baseline
 from salpcc.stages.evaluate.baselines.draco import DRACO, DRACO_SEQUENTIAL
 from salpcc.stages.evaluate.baselines.feng import FENG
 from salpcc.stages.evaluate.baselines.generic import BROTLI, BZIP2, XZ, ZSTD

@@ -20,9 +20,9 @@ from multiprocessing.connection import Connection
 import pyarrow as pa
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.baselines.contract import Baseline
-from salpcc.stages.evaluate.baselines.measure import Row, asked_errors, empty_row, measure, warm_up
-from salpcc.stages.evaluate.schema import BASELINES as BASELINES_SCHEMA
+from salpcc.stages.evaluate.baselines.baseline import Baseline
+from salpcc.stages.evaluate.baselines.measure_baseline import Row, asked_errors, empty_row, measure, warm_up
+from salpcc.stages.evaluate.report.schema import BASELINES as BASELINES_SCHEMA
 
 LIMIT_S = 60.0  # wall-clock seconds a scan
 _START_S = 60.0  # more for the first scan of a codec: imports, compilation

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from salpcc.stages.evaluate.baselines.contract import Baseline, NotPossible, Points, Promise, step_of
+from salpcc.stages.evaluate.baselines.baseline import Baseline, NotPossible, Points, Promise, step_of
 
 
 def encode(points: Points, max_error: float) -> bytes:

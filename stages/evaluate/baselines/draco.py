@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from salpcc.stages.evaluate.baselines.contract import Baseline, NotPossible, Points, Promise, step_of
+from salpcc.stages.evaluate.baselines.baseline import Baseline, NotPossible, Points, Promise, step_of
 from salpcc.stages.evaluate.baselines.intensity import from_levels, table_size, to_levels
 
 _LEVEL = 7  # of 0 to 10; 8 to 10 give no smaller point clouds

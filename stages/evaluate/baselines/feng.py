@@ -20,9 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.baselines.contract import Baseline, Group, Points, Promise, step_of
+from salpcc.stages.evaluate.baselines.baseline import Baseline, Group, Points, Promise, step_of
 from salpcc.stages.evaluate.baselines.packing import pack_streams, unpack_streams
-from salpcc.stages.evaluate.baselines.range_image import (
+from salpcc.stages.evaluate.baselines.rigid import STILL, Motion, move, move_back, register
+from salpcc.stages.evaluate.baselines.tile_image import (
     COLUMNS,
     ROWS,
     directions,
@@ -30,7 +31,6 @@ from salpcc.stages.evaluate.baselines.range_image import (
     to_levels,
     unproject,
 )
-from salpcc.stages.evaluate.baselines.registration import STILL, Motion, move, move_back, register
 from salpcc.stages.evaluate.baselines.tile_planes import TILE, draw, fit, inherit, of_cells, planes_of_tiles
 
 _GROUP = 5

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from salpcc.stages.evaluate.baselines.contract import Baseline, NotPossible, Points, Promise
+from salpcc.stages.evaluate.baselines.baseline import Baseline, NotPossible, Points, Promise
 
 EXACT = Promise(bound="exact", order=True, count=True, intensity=True)
 

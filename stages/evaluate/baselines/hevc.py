@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.baselines.contract import (
+from salpcc.stages.evaluate.baselines.baseline import (
     Baseline,
     Group,
     NotPossible,
@@ -27,7 +27,7 @@ from salpcc.stages.evaluate.baselines.contract import (
     step_of,
 )
 from salpcc.stages.evaluate.baselines.packing import pack, unpack
-from salpcc.stages.evaluate.baselines.range_image import COLUMNS, ROWS, project, to_levels, unproject
+from salpcc.stages.evaluate.baselines.tile_image import COLUMNS, ROWS, project, to_levels, unproject
 
 _QP = 22
 _GROUP = 8

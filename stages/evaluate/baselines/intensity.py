@@ -11,7 +11,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.baselines.contract import NotPossible
+from salpcc.stages.evaluate.baselines.baseline import NotPossible
 
 _HUNDREDTHS = (np.arange(256) / 100).astype(np.float32)
 

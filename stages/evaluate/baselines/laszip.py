@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 
-from salpcc.stages.evaluate.baselines.contract import (
+from salpcc.stages.evaluate.baselines.baseline import (
     Baseline,
     NotPossible,
     Points,

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from salpcc.stages.evaluate.baselines.contract import Points
-from salpcc.stages.evaluate.metrics import point_errors, same_bits
+from salpcc.stages.evaluate.baselines.baseline import Points
+from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits
 
 _BATCH = 256
 Columns = dict[str, Any]  # of a BASELINES row

@@ -12,7 +12,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.baselines.contract import (
+from salpcc.stages.evaluate.baselines.baseline import (
     Baseline,
     NotPossible,
     Points,

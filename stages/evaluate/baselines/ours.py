@@ -13,7 +13,7 @@ import numpy as np
 
 from salpcc.schemas.config import Effort, RunConfig
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.baselines.contract import Baseline, Points, Promise
+from salpcc.stages.evaluate.baselines.baseline import Baseline, Points, Promise
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import struct
 
 import numpy as np
 
-from salpcc.stages.evaluate.baselines.contract import Baseline, Points, Promise, step_of
-from salpcc.stages.evaluate.baselines.range_image import project, to_levels, unproject
+from salpcc.stages.evaluate.baselines.baseline import Baseline, Points, Promise, step_of
+from salpcc.stages.evaluate.baselines.tile_image import project, to_levels, unproject
 
 _HEAD = struct.Struct("<d")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 
-from salpcc.stages.evaluate.baselines.contract import Baseline, NotPossible, Points
+from salpcc.stages.evaluate.baselines.baseline import Baseline, NotPossible, Points
 from salpcc.stages.evaluate.baselines.generic import EXACT, from_file, to_file
 
 _ORDER, _MEMORY, _FEED = 6, 16 << 20, 4096
@@ -17,7 +17,7 @@ _HEAD = struct.Struct("<III")  # plain size, CRC of the plain bytes, CRC of the 
 
 
 def encode(points: Points, max_error: float) -> bytes:
-    """Compress the file; see :mod:`salpcc.stages.evaluate.baselines.contract`."""
+    """Compress the file; see :mod:`salpcc.stages.evaluate.baselines.baseline`."""
     import pyppmd
 
     plain = to_file(points, max_error)

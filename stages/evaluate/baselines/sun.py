@@ -19,10 +19,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.baselines.contract import Baseline, Group, Points, Promise, step_of
+from salpcc.stages.evaluate.baselines.baseline import Baseline, Group, Points, Promise, step_of
 from salpcc.stages.evaluate.baselines.packing import pack_streams, unpack_streams
-from salpcc.stages.evaluate.baselines.range_image import COLUMNS, ROWS, project, to_levels, unproject
-from salpcc.stages.evaluate.baselines.registration import STILL, Motion, move_back, register
+from salpcc.stages.evaluate.baselines.rigid import STILL, Motion, move_back, register
+from salpcc.stages.evaluate.baselines.tile_image import COLUMNS, ROWS, project, to_levels, unproject
 
 _THRESHOLD = 0.3  # metres
 _GROUP = 8

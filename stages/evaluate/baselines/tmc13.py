@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.baselines.contract import (
+from salpcc.stages.evaluate.baselines.baseline import (
     Baseline,
     NotPossible,
     Points,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, GROUPS, MOVABLE
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.evaluate.confusion import UNLABELLED, confusion, intersection_over_union, mean_iou
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
+from salpcc.stages.segment.confusion import UNLABELLED, confusion, intersection_over_union, mean_iou
 from salpcc.stages.segment.network import SegmentNetwork
 from salpcc.stages.segment.segmenter import label_points
 from salpcc.stages.segment.training.labelled import sequence_of

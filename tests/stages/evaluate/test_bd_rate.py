@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from salpcc.stages.evaluate.baseline_figures import bd_rates
-from salpcc.stages.evaluate.bd_rate import bd_rate
+from salpcc.stages.evaluate.report.baseline_figures import bd_rates
+from salpcc.stages.evaluate.report.bd_rate import bd_rate
 
 CURVE = [(20.0, 1e-6), (13.0, 2.5e-5), (10.0, 1e-4), (7.0, 4e-4), (4.0, 2e-3)]
 

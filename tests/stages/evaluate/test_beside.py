@@ -16,9 +16,10 @@ from matplotlib.image import imsave
 
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import KEPT
-from salpcc.stages.evaluate import report, stage
-from salpcc.stages.evaluate.record import SCHEMAS, record
-from salpcc.stages.evaluate.schema import TIMES
+from salpcc.stages.evaluate import stage
+from salpcc.stages.evaluate.report import write as report
+from salpcc.stages.evaluate.report.record import SCHEMAS, record
+from salpcc.stages.evaluate.report.schema import TIMES
 from salpcc.stages.ingest.paper_grid import grid_to_scan, row_elevations, scan_to_grid
 
 Street = Callable[..., Scan]

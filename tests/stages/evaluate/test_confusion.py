@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.labels import CLASSES, GROUND, GROUPS, MOVABLE, OTHER
-from salpcc.stages.evaluate.confusion import (
+from salpcc.stages.segment.confusion import (
     class_confusion,
     group_confusion,
     group_counts,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.match import kept_points, match_in_order
+from salpcc.stages.evaluate.measures.match import kept_points, match_in_order
 
 
 def scan(points: np.ndarray, intensity: np.ndarray | None = None) -> Scan:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from salpcc.stages.evaluate.metrics import (
+from salpcc.stages.evaluate.measures.metrics import (
     bits_per_point,
     compression_rate,
     point_errors,

@@ -16,13 +16,14 @@ import pytest
 
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate import report, stage
+from salpcc.stages.evaluate import stage
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.baselines.measure import measure
-from salpcc.stages.evaluate.layout.comparison_plots import _front
-from salpcc.stages.evaluate.record import record, recorded
-from salpcc.stages.evaluate.schema import BASELINES as BASELINES_SCHEMA
-from salpcc.stages.evaluate.schema import FAILURES, TIMES
+from salpcc.stages.evaluate.baselines.measure_baseline import measure
+from salpcc.stages.evaluate.report import write as report
+from salpcc.stages.evaluate.report.layout.comparison_plots import _front
+from salpcc.stages.evaluate.report.record import record, recorded
+from salpcc.stages.evaluate.report.schema import BASELINES as BASELINES_SCHEMA
+from salpcc.stages.evaluate.report.schema import FAILURES, TIMES
 
 FRAMING = 5000
 

@@ -15,9 +15,9 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import KEPT
 from salpcc.stages.evaluate import stage
-from salpcc.stages.evaluate.confusion import group_confusion
-from salpcc.stages.evaluate.schema import METRICS
+from salpcc.stages.evaluate.report.schema import METRICS
 from salpcc.stages.ingest.paper_grid import grid_to_scan, row_elevations, scan_to_grid
+from salpcc.stages.segment.confusion import group_confusion
 
 Street = Callable[..., Scan]
 Rows = Callable[[list[Scan], list[Scan]], pa.Table]

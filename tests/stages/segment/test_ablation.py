@@ -9,13 +9,13 @@ import pytest
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.labels import CLASSES
-from salpcc.stages.evaluate import report
-from salpcc.stages.evaluate.confusion import confusion
-from salpcc.stages.evaluate.grid_frames import read_gops
+from salpcc.stages.evaluate import segment_ablation as ablation
+from salpcc.stages.evaluate.measures.grid_frames import read_gops
+from salpcc.stages.evaluate.report import write as report
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.lattice.sweep import sweep_to_scan
-from salpcc.stages.segment import ablation
+from salpcc.stages.segment.confusion import confusion
 from salpcc.stages.segment.labelling import label_gop
 from salpcc.stages.segment.training.score import scores
 

@@ -17,7 +17,7 @@ FAKES = """
 import os, subprocess, time
 from dataclasses import replace
 from pathlib import Path
-from salpcc.stages.evaluate.baselines.contract import Baseline, Group, Promise
+from salpcc.stages.evaluate.baselines.baseline import Baseline, Group, Promise
 from salpcc.stages.evaluate.baselines.generic import from_file, to_file
 
 GOOD = Baseline("good", (), Promise("exact", True, True, True), to_file, from_file)

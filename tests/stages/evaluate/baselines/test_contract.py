@@ -9,8 +9,8 @@ import pytest
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.baselines.contract import FLOAT32_SLACK, Baseline, NotPossible
-from salpcc.stages.evaluate.baselines.measure import measure
+from salpcc.stages.evaluate.baselines.baseline import FLOAT32_SLACK, Baseline, NotPossible
+from salpcc.stages.evaluate.baselines.measure_baseline import measure
 
 LOSSY_ERRORS = (0.001, 0.01, 0.05)
 

@@ -9,8 +9,8 @@ import pytest
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.baselines.contract import NotPossible
-from salpcc.stages.evaluate.baselines.range_image import directions, project, to_levels, unproject
+from salpcc.stages.evaluate.baselines.baseline import NotPossible
+from salpcc.stages.evaluate.baselines.tile_image import directions, project, to_levels, unproject
 
 
 @pytest.mark.parametrize("error", [0.002, 0.02, 0.2])

@@ -11,8 +11,8 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate import baselines
 from salpcc.stages.evaluate.baselines import names
-from salpcc.stages.evaluate.baselines.contract import Points
-from salpcc.stages.evaluate.baselines.measure import measure
+from salpcc.stages.evaluate.baselines.baseline import Points
+from salpcc.stages.evaluate.baselines.measure_baseline import measure
 
 
 def test_selections() -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.baselines.contract import NotPossible
-from salpcc.stages.evaluate.baselines.measure import measure
+from salpcc.stages.evaluate.baselines.baseline import NotPossible
+from salpcc.stages.evaluate.baselines.measure_baseline import measure
 from salpcc.stages.evaluate.baselines.tmc13 import from_ply, to_ply
 
 POINTS = np.array([[1.0, -2.0, 0.5], [-70.25, 3.0, -1.75]], np.float32)

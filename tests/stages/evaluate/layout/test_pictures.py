@@ -8,7 +8,7 @@ import io
 import numpy as np
 from matplotlib.image import imread
 
-from salpcc.stages.evaluate.layout.pictures import birds_eye, range_image, scan_pictures
+from salpcc.stages.evaluate.report.layout.pictures import birds_eye, range_image, scan_pictures
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from salpcc.stages.evaluate.aggregate import ENCODE_STAGES, STREAMS
-from salpcc.stages.evaluate.layout.comparison_tables import baseline_table, bd_rate_table
-from salpcc.stages.evaluate.layout.downstream_tables import downstream_tables
-from salpcc.stages.evaluate.layout.figure_rows import rows_of
-from salpcc.stages.evaluate.layout.paper_tables import paper_tables
-from salpcc.stages.evaluate.layout.segmentation_tables import segmentation_tables
-from salpcc.stages.evaluate.layout.tables import Column, Table
+from salpcc.stages.evaluate.measures.aggregate import ENCODE_STAGES, STREAMS
+from salpcc.stages.evaluate.report.layout.comparison_tables import baseline_table, bd_rate_table
+from salpcc.stages.evaluate.report.layout.downstream_tables import downstream_tables
+from salpcc.stages.evaluate.report.layout.figure_rows import rows_of
+from salpcc.stages.evaluate.report.layout.paper_tables import paper_tables
+from salpcc.stages.evaluate.report.layout.segmentation_tables import segmentation_tables
+from salpcc.stages.evaluate.report.layout.tables import Column, Table
 
 Report = Mapping[str, Any]
 

@@ -11,12 +11,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.evaluate.aggregate import STREAMS, figures, total
-from salpcc.stages.evaluate.baseline_figures import baseline_figures, bd_rates
-from salpcc.stages.evaluate.downstream import ablation_figures, coder_figures, registration_figures
-from salpcc.stages.evaluate.machine import describe_machine
-from salpcc.stages.evaluate.record import recorded, recorded_run
-from salpcc.stages.evaluate.savings import add_savings
+from salpcc.stages.evaluate.measures.aggregate import STREAMS, figures, total
+from salpcc.stages.evaluate.report.baseline_figures import baseline_figures, bd_rates
+from salpcc.stages.evaluate.report.downstream import ablation_figures, coder_figures, registration_figures
+from salpcc.stages.evaluate.report.machine import describe_machine
+from salpcc.stages.evaluate.report.record import recorded, recorded_run
+from salpcc.stages.evaluate.report.savings import add_savings
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 REPORT_VERSION = 2

@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.files import atomic
-from salpcc.stages.evaluate import schema
-from salpcc.stages.evaluate.schema import VERSION
+from salpcc.stages.evaluate.report import schema
+from salpcc.stages.evaluate.report.schema import VERSION
 
 SCHEMAS: Mapping[str, pa.Schema] = {
     "metrics": schema.METRICS,

@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.baselines.contract import Baseline, Points
+from salpcc.stages.evaluate.baselines.baseline import Baseline, Points
 from salpcc.stages.evaluate.baselines.memory import peak_above
 from salpcc.stages.evaluate.baselines.nearest import errors_in_order, errors_nearest
-from salpcc.stages.evaluate.metrics import same_bits
+from salpcc.stages.evaluate.measures.metrics import same_bits
 
 ERRORS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # metres; what users ask for, and a curve's worth of them
 

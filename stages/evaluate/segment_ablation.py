@@ -1,7 +1,7 @@
 """What follows the network brings: class shares taken back, several scans, free space; scan by scan and together.
 
-    python -m salpcc.stages.segment.ablation --root DIR --out OUT 06=small
-    python -m salpcc.stages.segment.ablation --root DIR --out OUT 01,05,07=A.safetensors 00,04,09=B.safetensors
+    python -m salpcc.stages.evaluate.segment_ablation --root DIR --out OUT 06=small
+    python -m salpcc.stages.evaluate.segment_ablation --root DIR --out OUT 01,05,07=A.safetensors 00,04,09=B.safetensors
 
 Every argument names sequences and the weights that label them: weights that never saw them, in a cross-validation.
 The record ``ablations`` of OUT makes a table of ``salpcc-pipeline report``.
@@ -22,14 +22,14 @@ from salpcc.schemas.errors import SalpccError, UsageError
 from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.manifest import expand_sequences
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.confusion import UNLABELLED, confusion
-from salpcc.stages.evaluate.grid_frames import read_gops
-from salpcc.stages.evaluate.record import record
-from salpcc.stages.evaluate.schema import ABLATIONS
+from salpcc.stages.evaluate.measures.grid_frames import read_gops
+from salpcc.stages.evaluate.report.record import record
+from salpcc.stages.evaluate.report.schema import ABLATIONS
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.checkpoint import load_weights
 from salpcc.stages.segment.class_shares import as_in_streets
+from salpcc.stages.segment.confusion import UNLABELLED, confusion
 from salpcc.stages.segment.labelling import step_motions
 from salpcc.stages.segment.network import SegmentNetwork
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores

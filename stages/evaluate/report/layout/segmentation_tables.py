@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from salpcc.schemas.labels import CLASSES, GROUPS
-from salpcc.stages.evaluate.layout.figure_rows import rows_of
-from salpcc.stages.evaluate.layout.published import SEGMENTATION, SEGMENTED
-from salpcc.stages.evaluate.layout.runs import Run, all_runs
-from salpcc.stages.evaluate.layout.tables import Column, Table
+from salpcc.stages.evaluate.report.layout.figure_rows import rows_of
+from salpcc.stages.evaluate.report.layout.published import SEGMENTATION, SEGMENTED
+from salpcc.stages.evaluate.report.layout.runs import Run, all_runs
+from salpcc.stages.evaluate.report.layout.tables import Column, Table
 
 Report = Mapping[str, Any]
 

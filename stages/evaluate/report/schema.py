@@ -1,7 +1,7 @@
 """Arrow schemas of what the report is made of: what runs measure, and what other commands add to it.
 
 ``stage.run`` gives METRICS rows; ``pipeline`` gathers them, with TIMES and FAILURES, through
-:func:`salpcc.stages.evaluate.record.record` under ``OUT/report/``; ``report.build`` reads only that folder (and
+:func:`salpcc.stages.evaluate.report.record.record` under ``OUT/report/``; ``report.build`` reads only that folder (and
 the sizes of the files in ``OUT/archives/``), so a report can be rebuilt without decoding anything again.
 """
 

@@ -8,12 +8,12 @@ from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
-from salpcc.stages.evaluate.layout.comparison_plots import sequence_plots
-from salpcc.stages.evaluate.layout.gallery import Gallery
-from salpcc.stages.evaluate.layout.paper_tables import published_tables
-from salpcc.stages.evaluate.layout.plots import all_plots
-from salpcc.stages.evaluate.layout.report_tables import all_tables
-from salpcc.stages.evaluate.layout.runs import all_runs
+from salpcc.stages.evaluate.report.layout.comparison_plots import sequence_plots
+from salpcc.stages.evaluate.report.layout.gallery import Gallery
+from salpcc.stages.evaluate.report.layout.paper_tables import published_tables
+from salpcc.stages.evaluate.report.layout.plots import all_plots
+from salpcc.stages.evaluate.report.layout.report_tables import all_tables
+from salpcc.stages.evaluate.report.layout.runs import all_runs
 
 
 def render_page(report: Mapping[str, Any], galleries: Sequence[Gallery]) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from salpcc.stages.evaluate.layout.runs import accuracy_label
-from salpcc.stages.evaluate.layout.tables import Column, Table
+from salpcc.stages.evaluate.report.layout.runs import accuracy_label
+from salpcc.stages.evaluate.report.layout.tables import Column, Table
 
 Report = Mapping[str, Any]
 

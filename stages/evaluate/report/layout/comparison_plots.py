@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from salpcc.stages.evaluate.baseline_figures import OURS
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.layout.drawing import ACCENT, COLOURS, Plot, drawing, legend
+from salpcc.stages.evaluate.report.baseline_figures import OURS
+from salpcc.stages.evaluate.report.layout.drawing import ACCENT, COLOURS, Plot, drawing, legend
 
 _EQUAL_ERROR = 0.01  # metres; the error at which times are compared
 _MARKERS = "osD^vP*X"

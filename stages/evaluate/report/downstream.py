@@ -6,7 +6,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from salpcc.stages.evaluate.metrics import compression_rate
+from salpcc.stages.evaluate.measures.metrics import compression_rate
 
 Rows = list[dict[str, Any]]
 

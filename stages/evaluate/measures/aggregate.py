@@ -9,13 +9,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from salpcc.schemas.labels import CLASSES, GROUPS, MOVABLE
-from salpcc.stages.evaluate.confusion import (
+from salpcc.stages.evaluate.measures.metrics import bits_per_point, compression_rate
+from salpcc.stages.segment.confusion import (
     PAPER_CLASSES,
     group_confusion,
     intersection_over_union,
     mean_iou,
 )
-from salpcc.stages.evaluate.metrics import bits_per_point, compression_rate
 
 ENCODE_STAGES = ("ingest", "segment", "ground_fit", "predict", "residual_code")
 STREAMS = ("geometry", "intensity", "classes", "side")

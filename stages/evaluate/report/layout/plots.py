@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from salpcc.schemas.labels import CLASSES
-from salpcc.stages.evaluate.aggregate import ENCODE_STAGES, STREAMS
-from salpcc.stages.evaluate.layout.comparison_plots import comparison_plots
-from salpcc.stages.evaluate.layout.drawing import COLOURS, Plot, drawing, legend
+from salpcc.stages.evaluate.measures.aggregate import ENCODE_STAGES, STREAMS
+from salpcc.stages.evaluate.report.layout.comparison_plots import comparison_plots
+from salpcc.stages.evaluate.report.layout.drawing import COLOURS, Plot, drawing, legend
 
 Report = Mapping[str, Any]
 

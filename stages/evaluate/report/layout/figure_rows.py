@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from salpcc.stages.evaluate.aggregate import STREAMS
+from salpcc.stages.evaluate.measures.aggregate import STREAMS
 
 TOTAL = "all"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from salpcc.stages.evaluate.layout import published
-from salpcc.stages.evaluate.layout.runs import Run, accuracy_label, all_runs
-from salpcc.stages.evaluate.layout.tables import Column, Table
+from salpcc.stages.evaluate.report.layout import published
+from salpcc.stages.evaluate.report.layout.runs import Run, accuracy_label, all_runs
+from salpcc.stages.evaluate.report.layout.tables import Column, Table
 
 Report = Mapping[str, Any]
 _EQUAL_ERROR = "0.01"  # metres, as the record names it; the error at which times are compared

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.baselines.contract import NotPossible, Points
+from salpcc.stages.evaluate.baselines.baseline import NotPossible, Points
 
 ROWS, COLUMNS = 64, 2000
 UP, DOWN = np.deg2rad(2.0), np.deg2rad(-24.9)  # the sensor's field of view, 26.9 degrees

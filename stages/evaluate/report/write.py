@@ -1,6 +1,6 @@
 """Build the report of a run from what was measured: ``report.json``, tables, one page.
 
-Reads ``OUT/report/*.parquet`` and ``run.json`` (see :mod:`salpcc.stages.evaluate.record`) and the sizes of
+Reads ``OUT/report/*.parquet`` and ``run.json`` (see :mod:`salpcc.stages.evaluate.report.record`) and the sizes of
 the files in ``OUT/archives/``; writes beside them ``report.json``, ``tables.md``, ``tables/NAME.parquet`` and
 ``index.html``. Nothing is decoded again, so it takes seconds.
 """
@@ -16,13 +16,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from salpcc.schemas.files import atomic
-from salpcc.stages.evaluate.collect import collect
-from salpcc.stages.evaluate.layout.gallery import galleries
-from salpcc.stages.evaluate.layout.page import render_page
-from salpcc.stages.evaluate.layout.paper_tables import published_tables
-from salpcc.stages.evaluate.layout.report_tables import all_tables
-from salpcc.stages.evaluate.layout.tables import to_document
-from salpcc.stages.evaluate.record import recorded
+from salpcc.stages.evaluate.report.collect import collect
+from salpcc.stages.evaluate.report.layout.gallery import galleries
+from salpcc.stages.evaluate.report.layout.page import render_page
+from salpcc.stages.evaluate.report.layout.paper_tables import published_tables
+from salpcc.stages.evaluate.report.layout.report_tables import all_tables
+from salpcc.stages.evaluate.report.layout.tables import to_document
+from salpcc.stages.evaluate.report.record import recorded
 
 
 def build(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:

@@ -8,11 +8,11 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from salpcc.stages.evaluate.aggregate import count, error_figures, median, total
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.baselines.contract import FLOAT32_SLACK
-from salpcc.stages.evaluate.bd_rate import bd_rate
-from salpcc.stages.evaluate.metrics import bits_per_point, compression_rate
+from salpcc.stages.evaluate.baselines.baseline import FLOAT32_SLACK
+from salpcc.stages.evaluate.measures.aggregate import count, error_figures, median, total
+from salpcc.stages.evaluate.measures.metrics import bits_per_point, compression_rate
+from salpcc.stages.evaluate.report.bd_rate import bd_rate
 
 OURS = "salpcc"
 BD_REFERENCES = (OURS, "tmc13")

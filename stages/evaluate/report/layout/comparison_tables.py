@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from salpcc.stages.evaluate.baselines import BASELINES
-from salpcc.stages.evaluate.layout.figure_rows import flat_row
-from salpcc.stages.evaluate.layout.tables import Column, Table
+from salpcc.stages.evaluate.report.layout.figure_rows import flat_row
+from salpcc.stages.evaluate.report.layout.tables import Column, Table
 
 THIS_RUN = "this run"
 _PROMISES = {"exact": "bit-exact", "axis": "per axis", "distance": "3-D", "none": "no bound"}

@@ -11,7 +11,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from salpcc.schemas.shards import list_array
-from salpcc.stages.evaluate.layout.pictures import Picture, as_uri, scan_pictures, segmentation_pictures
+from salpcc.stages.evaluate.report.layout.pictures import (
+    Picture,
+    as_uri,
+    scan_pictures,
+    segmentation_pictures,
+)
 
 _PICTURED = 4  # sequences; more would only make the page heavy
 _FIGURES = {"fig7": "Segmentation, further pictures (Fig. 7)", "fig10": "Maps, before and after (Fig. 10)"}

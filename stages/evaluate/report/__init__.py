@@ -1,0 +1,1 @@
+"""From what was recorded to report.json, tables and the page."""
