@@ -22,7 +22,7 @@ class Scan:
         frame_id: coordinate frame of the points.
         classes: ``(N,)`` uint8 index into :data:`salpcc.schemas.labels.CLASSES`, or None.
         motion: ``(6,)`` float64 ``(v, w)``, the motion during the scan that its compensation
-            used, metres and radians per turn (SENSOR_LATTICE section 2), or None if the points are
+            used, metres and radians per turn (docs/sensor_lattice.md section 2), or None if the points are
             not compensated.
         cloud: what else its message held, where it came from a recorded log. ``intensity`` is then the
             field of that name as float32, zeros without one.

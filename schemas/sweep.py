@@ -1,4 +1,4 @@
-"""The sweep: a scan on its sensor lattice (SENSOR_LATTICE.md, sections 1 and 2)."""
+"""The sweep: a scan on its sensor lattice (docs/sensor_lattice.md, sections 1 and 2)."""
 
 from __future__ import annotations
 

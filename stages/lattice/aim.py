@@ -1,6 +1,6 @@
 """Any point on the lattice of a known sensor: the laser, tick and count that come nearest to it, and the point that they make.
 
-:mod:`.measure` does this for files of rings on a 1 mm grid; here points are floats in any order.
+:mod:`~salpcc.stages.evaluate.baselines.measure_baseline` does this for files of rings on a 1 mm grid; here points are floats in any order.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The sensor lattice: (laser, tick, count) <-> raw points (SENSOR_LATTICE.md, section 1).
+"""The sensor lattice: (laser, tick, count) <-> raw points (docs/sensor_lattice.md, section 1).
 
 For laser k with parameters ``(theta, z0, h, phi0, d0)``::
 

@@ -1,4 +1,4 @@
-"""Find the motion that a scan was compensated with (SENSOR_LATTICE.md, section 2).
+"""Find the motion that a scan was compensated with (docs/sensor_lattice.md, section 2).
 
 The 1 mm lattice of the raw points is the measuring stick: the right ``(v, w)`` puts every point back on
 it, and the lattice holds no noise, so six numbers follow from a few hundred points and everything else

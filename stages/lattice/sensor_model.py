@@ -1,6 +1,6 @@
 """The sensor model: five numbers per laser that turn counts and ticks into metres.
 
-SENSOR_LATTICE.md, section 1. A model belongs to a sensor, not to a drive: it is fitted once over
+docs/sensor_lattice.md, section 1. A model belongs to a sensor, not to a drive: it is fitted once over
 many scans (:mod:`salpcc.stages.ingest.calibrate.fit_sensor`), shipped as JSON, and travels in every archive.
 """
 

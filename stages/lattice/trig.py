@@ -1,6 +1,6 @@
 """Sine, cosine and arc tangent that are the same on every machine.
 
-The decoder repeats them, so they use only ``+ - * /`` on float64 in a fixed order (SENSOR_LATTICE
+The decoder repeats them, so they use only ``+ - * /`` on float64 in a fixed order (docs/sensor_lattice.md
 section 4): Taylor polynomials after an exact reduction, never the C library's functions, whose last
 bit differs between systems. The error is below 2e-16, relative to a result of order one.
 """

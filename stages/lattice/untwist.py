@@ -1,4 +1,4 @@
-"""Motion compensation of a scan, and its exact inversion (SENSOR_LATTICE.md, section 2).
+"""Motion compensation of a scan, and its exact inversion (docs/sensor_lattice.md, section 2).
 
 KITTI odometry scans are raw scans moved by the vehicle's motion ``(v, w)`` during the turn::
 

@@ -1,7 +1,7 @@
 """Rings as rows with cyclic margins, and one ring moved into the tick frame of another.
 
-The lever arm of SENSOR_LATTICE.md, section 1, shifts what a laser sees at a given tick, so a coded ring is
-moved before the returns of another laser are predicted from it. Arithmetic as in :mod:`.features`.
+The lever arm of docs/sensor_lattice.md, section 1, shifts what a laser sees at a given tick, so a coded ring is
+moved before the returns of another laser are predicted from it. Arithmetic as in :mod:`~salpcc.stages.predict.learned.range_features`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """One float32 a point, such as its intensity: whole numbers of a decimal unit where they are, else float bits.
 
-Stream: one byte, 0 for the bits of :mod:`.integer_coder`, else the position in UNITS plus one; then, of whole numbers
+Stream: one byte, 0 for the bits of :mod:`~salpcc.stages.entropy.integers`, else the position in UNITS plus one; then, of whole numbers
 below 2 ** 16, left and up (uint16 each, :mod:`.ray_coder`) and the numbers, high byte and low byte, in
 the contexts of the left and the upper number.
 """

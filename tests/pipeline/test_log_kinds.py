@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.typesys import Stores, get_typestore
 
 from salpcc.pipeline import Archive, logs
-from salpcc.pipeline.cli import main
+from salpcc.pipeline.cli.app import main
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, run_sequences

@@ -19,8 +19,8 @@ from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, digests
-from salpcc.pipeline.calibrate import calibrate_log
-from salpcc.pipeline.cli import app
+from salpcc.pipeline.calibration import calibrate_log
+from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, encode_scans
-from salpcc.pipeline.cli import app
+from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.recover import Recovery, recover
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import ArchiveError, UsageError

@@ -26,7 +26,7 @@ HEAVY = [
 HELP = """
 import sys
 sys.argv = ["salpcc-pipeline", *{arguments!r}]
-from salpcc.pipeline.cli import main
+from salpcc.pipeline.cli.app import main
 try:
     main()
 except SystemExit as end:

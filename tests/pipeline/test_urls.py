@@ -15,7 +15,7 @@ from moto.server import ThreadedMotoServer
 from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, tasks
-from salpcc.pipeline.cli import app, main
+from salpcc.pipeline.cli.app import app, main
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.lock import locked

@@ -1,4 +1,4 @@
-"""Sum METRICS rows up to the figures of ``report.json``; the names are a contract (see ARCHITECTURE)."""
+"""Sum METRICS rows up to the figures of ``report.json``; the names are a contract (see ARCHITECTURE.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Put the content of ``report.json`` together from what was recorded; its names are a contract (ARCHITECTURE)."""
+"""Put the content of ``report.json`` together from what was recorded; its names are a contract (ARCHITECTURE.md)."""
 
 from __future__ import annotations
 

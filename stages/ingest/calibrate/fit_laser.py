@@ -1,6 +1,6 @@
 """Fit the five numbers of one laser to its points.
 
-SENSOR_LATTICE.md, section 1: Gauss-Newton on all residuals, ticks and counts rounded in the loop. Where coordinates were rounded
+docs/sensor_lattice.md, section 1: Gauss-Newton on all residuals, ticks and counts rounded in the loop. Where coordinates were rounded
 to 1 mm, their noise is uniform and bounded: a second fit looks only at coordinates beyond half a millimetre, which the right
 parameters do not have. That takes the points of KITTI that need no correction from 98.8 to 99.7 %.
 """

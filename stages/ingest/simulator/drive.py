@@ -68,7 +68,7 @@ class Drive:
         return Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), position
 
     def motion(self, t: float) -> F64:
-        """Return ``(v, w)`` of the turn around ``t``: what section 2 of SENSOR_LATTICE.md compensates.
+        """Return ``(v, w)`` of the turn around ``t``: what section 2 of docs/sensor_lattice.md compensates.
 
         The sensor turns clockwise, so that time falls as azimuth rises: the signs are those of the
         motion backwards.

@@ -52,7 +52,7 @@ def firing_ticks(ticks_per_turn: int, rate: float, rng: np.random.Generator) -> 
 
 
 def shots(sensor: SensorModel, ticks: NDArray[np.int64]) -> Shots:
-    """Aim every laser at every firing (SENSOR_LATTICE.md, section 1)."""
+    """Aim every laser at every firing (docs/sensor_lattice.md, section 1)."""
     turn = sensor.ticks_per_turn
     tick = (ticks[None, :] + sensor.shift[:, None]) % turn
     phi = tick * (2 * np.pi / turn) + sensor.phi0[:, None]

@@ -1,1 +1,1 @@
-"""The learned range model: features, a small exact network, a mixture of logistics (SENSOR_LATTICE 3, 4)."""
+"""The learned range model: features, a small exact network, a mixture of logistics (docs/sensor_lattice.md 3, 4)."""

@@ -1,4 +1,4 @@
-"""Planes through the returns around the next one: weighted least squares over slots, arithmetic as in :mod:`.features`.
+"""Planes through the returns around the next one: weighted least squares over slots, arithmetic as in :mod:`.range_features`.
 
 Slots are the LEFT returns before it on its ring, UPPER of the ring above, SECOND of the one above that: lanes 0 to 23
 of a vector of 32; the last eight are none and have weight 0. D is their inverse range less that of the left

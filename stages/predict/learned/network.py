@@ -1,4 +1,4 @@
-"""The networks in whole numbers: int16 weights and activations, int32 sums (SENSOR_LATTICE.md, section 4).
+"""The networks in whole numbers: int16 weights and activations, int32 sums (docs/sensor_lattice.md, section 4).
 
 Activations are integers 0..1023 (1/128 of a unit), weights integers with a power-of-two scale per layer. No
 partial sum can reach 2 ** 24 (:func:`check` proves it when weights are loaded): sums need no care for overflow, their

@@ -1,6 +1,6 @@
 """What the sweep before says about one return: three more predictors and their features, and intensities.
 
-Effort ``max`` only. The layout and the exact arithmetic are those of :mod:`.features`; slots are the points of
+Effort ``max`` only. The layout and the exact arithmetic are those of :mod:`.range_features`; slots are the points of
 three rows of the :mod:`warped sweep <.previous_sweep>` around the return, on its own row, the one above and the
 one below.
 """

@@ -3,7 +3,7 @@
 Both sweeps were compensated to their own middle, by motions ``(v, w)`` per turn that the archive holds, so half
 of each lies between the two middles; from there the current motion is undone, as if the current sensor had
 measured the points. They are then sorted into rows by the laser whose cone is nearest, by azimuth within
-a row: several depths at an occlusion stand side by side. Decoders repeat this: see :mod:`.features`.
+a row: several depths at an occlusion stand side by side. Decoders repeat this: see :mod:`.range_features`.
 """
 
 from __future__ import annotations

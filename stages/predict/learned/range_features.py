@@ -1,12 +1,12 @@
 """Predictors and features of one return's range, from the returns coded before it.
 
 Everything lives in inverse horizontal range ``w = 1 / rho'``, where a plane is linear in azimuth and
-in the tangent of the elevation (SENSOR_LATTICE.md, section 3). Rings are coded top first, returns by
-rising tick. The lever arm of SENSOR_LATTICE.md, section 1, shifts what a laser sees at a given tick,
+in the tangent of the elevation (docs/sensor_lattice.md, section 3). Rings are coded top first, returns by
+rising tick. The lever arm of docs/sensor_lattice.md, section 1, shifts what a laser sees at a given tick,
 so the rings above are first moved into the tick frame of the current laser.
 
 The decoder repeats all of this, hence only float64 and float32 with ``+ - * /`` and square roots, in
-a fixed order: the same bits on every machine (SENSOR_LATTICE.md, section 4).
+a fixed order: the same bits on every machine (docs/sensor_lattice.md, section 4).
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from salpcc.stages.predict.learned.range_features import LIMIT, SCALE
 from salpcc.stages.predict.learned.value_intervals import OUTPUTS, VALUES
 
 if TYPE_CHECKING:
-    from salpcc.stages.predict.learned.train import Recipe, Rows
+    from salpcc.stages.predict.learned.recipe import Recipe, Rows
 
 _CAP = (LIMIT + 1) / SCALE
 _LEVEL_FLOOR = 2.0**-BITS  # every level keeps at least this share of the interval
@@ -49,7 +49,7 @@ class _Perceptron(nn.Module):
 
 
 class RangeNet(_Perceptron):
-    """Components of the mixture of :mod:`.mixture` from the features of :mod:`.features`."""
+    """Components of the mixture of :mod:`.mixture` from the features of :mod:`.range_features`."""
 
     def __init__(self, width: int, layers: int, inputs: int, predictors: int) -> None:
         self.components = predictors + len(SHARED)

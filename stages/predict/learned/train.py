@@ -8,12 +8,11 @@ rounding the weights afterwards costs under 0.005 bits a point and no retraining
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.sweep import Sweep
@@ -25,47 +24,16 @@ from salpcc.stages.predict.learned.network import Network, save_network
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
 from salpcc.stages.predict.learned.quantise import quantize_network
 from salpcc.stages.predict.learned.range_model import collect_ranges
+from salpcc.stages.predict.learned.recipe import RECIPES, Recipe, Rows
 from salpcc.stages.predict.sweep_walk import supports
 
 if TYPE_CHECKING:
     import torch
 
-Rows = dict[str, NDArray[Any]]
 Log = Callable[[str], None]
 Pair = tuple[Sweep, Sweep | None]  # and the one before
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """How one effort level is trained.
-
-    Attributes:
-        range_width, intensity_width: units of each hidden layer; multiples of 8.
-        range_layers: hidden layers of the range network; intensity has two.
-        optimiser_steps, batch: of AdamW with a one-cycle learning rate up to ``rate``.
-        share: part of the returns used at step 1; ``coarse_share`` at each coarser step.
-        looks_back: whether the networks see the sweep before.
-        seed: of the weights, the choice of returns and the batches.
-    """
-
-    range_width: int = 64
-    range_layers: int = 2
-    intensity_width: int = 48
-    optimiser_steps: int = 9000
-    intensity_steps: int = 8000
-    batch: int = 8192
-    intensity_batch: int = 4096
-    rate: float = 3e-3
-    share: float = 0.25
-    coarse_share: float = 0.08
-    looks_back: bool = False
-    seed: int = 0
-
-
-RECIPES = {
-    "default": Recipe(),
-    "max": Recipe(128, 3, 96, optimiser_steps=6000, intensity_steps=6000, batch=4096, looks_back=True),
-}
 STEPS = (5, 10, 20)
 ODD_STEPS = (2, 3, 4, 7, 9, 14, 19, 30, 50)
 

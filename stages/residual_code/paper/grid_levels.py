@@ -3,7 +3,7 @@
 Each guess of :mod:`salpcc.stages.predict.paper.grid_neighbours` is trusted by how far off it was close by; guess and
 trust make a logistic distribution, and all of them, with their weighted mean, a mixture. A level is coded as
 above or not above the middle, then the class of its distance (1, 2-3, 4-7, ...) in unary, then the distance in its
-class. The mixture gives every bit a probability; :mod:`.mixing` mixes it with those of seven contexts.
+class. The mixture gives every bit a probability; :mod:`~salpcc.stages.segment.training.scan_mixing` mixes it with those of seven contexts.
 """
 
 from __future__ import annotations

@@ -10,7 +10,8 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.previous_sweep import warp
-from salpcc.stages.predict.learned.train import Recipe, collect
+from salpcc.stages.predict.learned.recipe import Recipe
+from salpcc.stages.predict.learned.train import collect
 from salpcc.stages.predict.ring_rows import PAD
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 

@@ -12,7 +12,8 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.network import load_network
 from salpcc.stages.predict.learned.range_model import decode_ranges
-from salpcc.stages.predict.learned.train import Recipe, train_coder
+from salpcc.stages.predict.learned.recipe import Recipe
+from salpcc.stages.predict.learned.train import train_coder
 
 from .conftest import Returns, range_stream
 

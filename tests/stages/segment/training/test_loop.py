@@ -8,7 +8,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from salpcc.pipeline.cli_train import app
+from salpcc.pipeline.cli.train_networks import app
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.segment import network
 from salpcc.stages.segment.checkpoint import load_weights

@@ -13,13 +13,13 @@ import numpy as np
 
 from salpcc.pipeline.cluster import connect
 from salpcc.pipeline.lock import locked
-from salpcc.pipeline.map_plan import MapPlan, plan_map
-from salpcc.pipeline.map_quality import CLASSES_ONLY, labelled
-from salpcc.pipeline.map_request import MapRequest
-from salpcc.pipeline.map_steps import build_all, gather_all, place_all, score_all
-from salpcc.pipeline.map_submaps import Submap
-from salpcc.pipeline.map_tiles import TileResult
-from salpcc.pipeline.map_write import write_whole
+from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
+from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
+from salpcc.pipeline.mapping.map_request import MapRequest
+from salpcc.pipeline.mapping.map_steps import build_all, gather_all, place_all, score_all
+from salpcc.pipeline.mapping.map_submaps import Submap
+from salpcc.pipeline.mapping.map_tiles import TileResult
+from salpcc.pipeline.mapping.map_write import write_whole
 from salpcc.pipeline.progress import Report, Silent, bar
 from salpcc.pipeline.store import TOOL, ShardStore
 from salpcc.schemas.files import atomic

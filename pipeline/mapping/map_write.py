@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.pipeline.map_export import to_mcap
-from salpcc.pipeline.map_plan import F64, MapPlan
-from salpcc.pipeline.map_request import MapRequest
-from salpcc.pipeline.map_tiles import TileResult, read_tile
+from salpcc.pipeline.mapping.map_export import to_mcap
+from salpcc.pipeline.mapping.map_plan import F64, MapPlan
+from salpcc.pipeline.mapping.map_request import MapRequest
+from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.files import atomic
 from salpcc.stages.evaluate.report import record

@@ -12,10 +12,10 @@ import pyarrow as pa
 
 from salpcc.pipeline.cluster import connect
 from salpcc.pipeline.flow import each
-from salpcc.pipeline.localise_tasks import Rival, Stretch, calibrate, register_stretch
 from salpcc.pipeline.lock import locked
-from salpcc.pipeline.map import NO_CLASSES
-from salpcc.pipeline.map_plan import F64
+from salpcc.pipeline.mapping.localise_tasks import Rival, Stretch, calibrate, register_stretch
+from salpcc.pipeline.mapping.make_map import NO_CLASSES
+from salpcc.pipeline.mapping.map_plan import F64
 from salpcc.pipeline.plan import missing_root
 from salpcc.pipeline.progress import Report, Silent, bar
 from salpcc.pipeline.store import ShardStore

@@ -16,14 +16,14 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from salpcc.pipeline import map as map_module
-from salpcc.pipeline import map_submaps, map_tiles
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.encode import encode_scans
 from salpcc.pipeline.graph import GraphOptions
-from salpcc.pipeline.localise import LocaliseRequest, localise
-from salpcc.pipeline.map import make_map
-from salpcc.pipeline.map_request import MapRequest
+from salpcc.pipeline.mapping import make_map as map_module
+from salpcc.pipeline.mapping import map_submaps, map_tiles
+from salpcc.pipeline.mapping.localise import LocaliseRequest, localise
+from salpcc.pipeline.mapping.make_map import make_map
+from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError, UsageError

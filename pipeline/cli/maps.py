@@ -15,7 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from salpcc.pipeline.cli_run import Scheduler, Workers
+from salpcc.pipeline.cli.run_sequences import Scheduler, Workers
 from salpcc.schemas.errors import UsageError
 from salpcc.stages.mapping.open3d_library import load_open3d
 
@@ -71,9 +71,9 @@ def map_(
     json_: Json = False,
 ) -> None:
     """Build a clean map from decoded scans."""
-    from salpcc.pipeline.map import make_map
-    from salpcc.pipeline.map_export import FORMATS
-    from salpcc.pipeline.map_request import MapRequest
+    from salpcc.pipeline.mapping.make_map import make_map
+    from salpcc.pipeline.mapping.map_export import FORMATS
+    from salpcc.pipeline.mapping.map_request import MapRequest
     from salpcc.stages.mapping.config import MapConfig
 
     wanted = [form.strip() for form in formats.split(",") if form.strip()]
@@ -141,8 +141,8 @@ def localise(
     json_: Json = False,
 ) -> None:
     """Register consecutive decoded scans by ICP and measure the error, with movable things and without."""
-    from salpcc.pipeline.localise import LocaliseRequest
-    from salpcc.pipeline.localise import localise as run
+    from salpcc.pipeline.mapping.localise import LocaliseRequest
+    from salpcc.pipeline.mapping.localise import localise as run
     from salpcc.stages.evaluate.baselines import names as baseline_names
     from salpcc.stages.evaluate.report.downstream import registration_figures
 

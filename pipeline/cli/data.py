@@ -55,7 +55,7 @@ def calibrate(
     scans: Annotated[int, typer.Option(min=1, help="At most this many scans, evenly spread")] = 40,
 ) -> None:
     """Find the lasers, steps and lever arms of any spinning LiDAR from its scans alone, and write them as a sensor model."""
-    from salpcc.pipeline.calibrate import calibrate_log, summary
+    from salpcc.pipeline.calibration import calibrate_log, summary
 
     if not log.exists():
         raise UsageError(f"{log}: not found; name a folder of scans, a scan, or a log")

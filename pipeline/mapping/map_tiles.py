@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.pipeline.map_export import WRITERS
-from salpcc.pipeline.map_store import (
+from salpcc.pipeline.mapping.map_export import WRITERS
+from salpcc.pipeline.mapping.map_store import (
     TILE,
     batch_to_entries,
     entries_to_batch,
@@ -20,7 +20,7 @@ from salpcc.pipeline.map_store import (
     read_blocks,
     table_to_views,
 )
-from salpcc.pipeline.map_submaps import Submap
+from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.mapping.build import CARVED, DROPPED, build

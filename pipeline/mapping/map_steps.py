@@ -12,8 +12,8 @@ from distributed import Client
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.flow import each
 from salpcc.pipeline.las import intensity_factors
-from salpcc.pipeline.map_plan import F64, ODOMETRY, Group, MapPlan
-from salpcc.pipeline.map_quality import (
+from salpcc.pipeline.mapping.map_plan import F64, ODOMETRY, Group, MapPlan
+from salpcc.pipeline.mapping.map_quality import (
     TruthRef,
     quality_rows,
     rival_rows,
@@ -21,10 +21,10 @@ from salpcc.pipeline.map_quality import (
     tally_tile,
     truth_group,
 )
-from salpcc.pipeline.map_request import MapRequest
-from salpcc.pipeline.map_submaps import Submap, chain, gather_group
-from salpcc.pipeline.map_tiles import TileResult, build_tile, parts_of
-from salpcc.pipeline.map_write import clear
+from salpcc.pipeline.mapping.map_request import MapRequest
+from salpcc.pipeline.mapping.map_submaps import Submap, chain, gather_group
+from salpcc.pipeline.mapping.map_tiles import TileResult, build_tile, parts_of
+from salpcc.pipeline.mapping.map_write import clear
 from salpcc.pipeline.progress import Report
 from salpcc.schemas.errors import SourceError
 from salpcc.stages.mapping.score import Tally

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from salpcc.pipeline.cli_run import (
+from salpcc.pipeline.cli.run_sequences import (
     Baselines,
     Device,
     EffortLevel,

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from salpcc.pipeline.cli_run import PLACE, parse_frames
+from salpcc.pipeline.cli.run_sequences import PLACE, parse_frames
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_scans
-from salpcc.pipeline.map_plan import Group
-from salpcc.pipeline.map_store import (
+from salpcc.pipeline.mapping.map_plan import Group
+from salpcc.pipeline.mapping.map_store import (
     ENTRIES,
     batch_to_entries,
     entries_to_batch,

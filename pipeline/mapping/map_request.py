@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from salpcc.pipeline.map_export import FORMATS
+from salpcc.pipeline.mapping.map_export import FORMATS
 from salpcc.stages.mapping.config import MapConfig
 
 
@@ -13,7 +13,7 @@ from salpcc.stages.mapping.config import MapConfig
 class MapRequest:
     """What a user asks for: the map, and where and how it is made.
 
-    ``poses`` as in :func:`salpcc.pipeline.map_plan.plan_map`; ``against`` is a data root with labels to
+    ``poses`` as in :func:`salpcc.pipeline.mapping.map_plan.plan_map`; ``against`` is a data root with labels to
     score by, ``rivals`` are public cleaners to score beside.
     """
 

@@ -11,7 +11,12 @@ from typing import Any
 
 import typer
 
-from salpcc.pipeline import cli_archive, cli_data, cli_log, cli_map, cli_run, cli_train
+from salpcc.pipeline.cli import archives as cli_archive
+from salpcc.pipeline.cli import data as cli_data
+from salpcc.pipeline.cli import maps as cli_map
+from salpcc.pipeline.cli import run_log as cli_log
+from salpcc.pipeline.cli import run_sequences as cli_run
+from salpcc.pipeline.cli import train_networks as cli_train
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.errors import LogWarning, SalpccError, UsageError
 from salpcc.schemas.files import unreachable, why
@@ -108,7 +113,3 @@ def _notes() -> Iterator[None]:
 def _fail(line: str, code: int) -> None:
     STDERR.print(f"error: {line}", soft_wrap=True, markup=False, style="red")
     sys.exit(code)
-
-
-if __name__ == "__main__":
-    main()

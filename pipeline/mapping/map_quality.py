@@ -10,9 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.map_plan import F64, Group, MapPlan
-from salpcc.pipeline.map_store import TRUTH, batches_to_truth, read_blocks, truth_to_batch, write_blocks
-from salpcc.pipeline.map_tiles import TileResult, read_tile
+from salpcc.pipeline.mapping.map_plan import F64, Group, MapPlan
+from salpcc.pipeline.mapping.map_store import (
+    TRUTH,
+    batches_to_truth,
+    read_blocks,
+    truth_to_batch,
+    write_blocks,
+)
+from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
 from salpcc.pipeline.plan import missing_root
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.errors import SourceError, UsageError

@@ -1,0 +1,5 @@
+"""``python -m salpcc.pipeline.cli``."""
+
+from salpcc.pipeline.cli.app import main
+
+main()

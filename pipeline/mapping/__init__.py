@@ -1,0 +1,1 @@
+"""Maps and localisation from archives, on the scheduler and the shard store of runs."""
