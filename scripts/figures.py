@@ -1,10 +1,10 @@
-"""Fill the tables and plots of README.md from what was measured: ``python scripts/readme_figures.py OUT… --bench BENCH.json``.
+"""Fill the tables and plots of docs/figures.md from what was measured: ``python scripts/figures.py OUT… --bench BENCH.json``.
 
 A table stands between ``<!-- figures:begin NAME -->`` and ``<!-- figures:end -->``, where NAME is ``summary``, any table
 of the report in OUT (``sequences``, ``times``, ``table1``, ``groups``, ``baselines``, ``bd_rate``, ``table2`` to ``table5``,
 ``fig8``, ``map``, ``ablation1`` …), or ``bench``, which ``python -m salpcc.stages.evaluate.bench --json BENCH.json`` measures.
-A plot's NAME is its title in lower case with ``_`` for spaces (``rate_against_the_promised_error``); it is written to ``docs/``
-beside the README. With several OUTs a block comes from the first that has it. Nothing between the markers is ever typed.
+A plot's NAME is its title in lower case with ``_`` for spaces (``rate_against_the_promised_error``); it is written
+beside the page. With several OUTs a block comes from the first that has it. Nothing between the markers is ever typed.
 With ``--check`` no file is changed and the exit code is 1 where one differs. Blocks of a source that is not named are left
 alone.
 """
@@ -55,12 +55,12 @@ def fill(text: str, reports: Sequence[Mapping[str, Any]], bench: Mapping[str, An
 
 
 def plots(reports: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, str]]:
-    """Return by name what stands in the README for each plot, and its SVG."""
+    """Return by name what stands on the page for each plot, and its SVG."""
     found: dict[str, tuple[str, str]] = {}
     for report in reversed(reports):
         for plot in comparison_plots(report):
             name = plot.title.lower().replace(" ", "_")
-            link = f"![{plot.title}](docs/{name}.svg)"
+            link = f"![{plot.title}]({name}.svg)"
             # On a page of its own it needs a size, and a ground that its dark text can be read on.
             svg = plot.svg.replace("<svg ", '<svg width="640" style="background: #fff" ', 1)
             found[name] = f"{link}\n\n{plot.caption} {provenance(report)}", svg
@@ -107,25 +107,25 @@ def bench_table(bench: Mapping[str, Any]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fill, or check, a README."""
+    """Fill, or check, the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path, nargs="*", help="output folders of runs")
     parser.add_argument("--bench", type=Path, help="what the bench wrote with --json")
-    parser.add_argument("--readme", type=Path, default=Path(__file__).parents[1] / "README.md")
+    parser.add_argument("--page", type=Path, default=Path(__file__).parents[1] / "docs" / "figures.md")
     parser.add_argument("--check", action="store_true")
     asked = parser.parse_args(arguments)
-    before = asked.readme.read_text(encoding="utf-8")
+    before = asked.page.read_text(encoding="utf-8")
     reports = [json.loads((out / "report" / "report.json").read_text()) for out in asked.out]
     bench = None if asked.bench is None else json.loads(asked.bench.read_text())
     try:
         after = fill(before, reports, bench)
     except ValueError as error:
-        print(f"readme_figures: {error}", file=sys.stderr)
+        print(f"figures: {error}", file=sys.stderr)
         return 2
-    docs = asked.readme.parent / "docs"
+    docs = asked.page.parent
     used = {match[2] for match in BLOCK.finditer(after)}
     files = {docs / f"{name}.svg": svg for name, (_, svg) in plots(reports).items() if name in used}
-    files[asked.readme] = after
+    files[asked.page] = after
     if asked.check:
         return int(any(not path.is_file() or path.read_text() != new for path, new in files.items()))
     for path, new in files.items():

@@ -1,4 +1,4 @@
-"""The README's bench table comes from the bench's own figures, between markers, and nothing else changes."""
+"""The page of bench table comes from the bench's own figures, between markers, and nothing else changes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import pytest
 
 from salpcc.stages.evaluate import bench
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "readme_figures.py"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "figures.py"
 
 
 @pytest.fixture
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("readme_figures", SCRIPT)
+    spec = importlib.util.spec_from_file_location("figures", SCRIPT)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -36,12 +36,12 @@ def measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_block_is_filled_and_the_rest_stays(script: ModuleType, measured: Path, tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text("# Title\n<!-- figures:begin bench -->\nold 9.99\n<!-- figures:end -->\nend\n")
-    arguments = ["--bench", str(measured), "--readme", str(readme)]
+    page = tmp_path / "figures.md"
+    page.write_text("# Title\n<!-- figures:begin bench -->\nold 9.99\n<!-- figures:end -->\nend\n")
+    arguments = ["--bench", str(measured), "--page", str(page)]
     assert script.main([*arguments, "--check"]) == 1
     assert script.main(arguments) == 0
-    text = readme.read_text()
+    text = page.read_text()
     assert text.startswith("# Title\n<!-- figures:begin bench -->\n") and text.endswith(
         "<!-- figures:end -->\nend\n"
     )
@@ -52,7 +52,7 @@ def test_the_block_is_filled_and_the_rest_stays(script: ModuleType, measured: Pa
 
 
 def test_without_a_block_nothing_is_written(script: ModuleType, measured: Path, tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text("no markers")
-    assert script.main(["--bench", str(measured), "--readme", str(readme)]) == 2
-    assert readme.read_text() == "no markers"
+    page = tmp_path / "figures.md"
+    page.write_text("no markers")
+    assert script.main(["--bench", str(measured), "--page", str(page)]) == 2
+    assert page.read_text() == "no markers"

@@ -1,4 +1,4 @@
-"""The README's figures come from report.json, between markers, and nothing else changes."""
+"""The page of figures come from report.json, between markers, and nothing else changes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from salpcc.stages.evaluate.report import write as report
 from salpcc.stages.evaluate.report.record import record
 from salpcc.stages.evaluate.report.schema import BASELINES, METRICS
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "readme_figures.py"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "figures.py"
 
 
 @pytest.fixture
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("readme_figures", SCRIPT)
+    spec = importlib.util.spec_from_file_location("figures", SCRIPT)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -48,33 +48,33 @@ def out(tmp_path: Path) -> Path:
 
 
 def test_blocks_are_filled_and_the_rest_stays(script: ModuleType, out: Path, tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text("# Title\n<!-- figures:begin summary -->\nold 9.99\n<!-- figures:end -->\nend\n")
-    assert script.main([str(out), "--readme", str(readme), "--check"]) == 1
-    assert script.main([str(out), "--readme", str(readme)]) == 0
-    text = readme.read_text()
+    page = tmp_path / "figures.md"
+    page.write_text("# Title\n<!-- figures:begin summary -->\nold 9.99\n<!-- figures:end -->\nend\n")
+    assert script.main([str(out), "--page", str(page), "--check"]) == 1
+    assert script.main([str(out), "--page", str(page)]) == 0
+    text = page.read_text()
     assert text.startswith("# Title\n") and text.endswith("<!-- figures:end -->\nend\n")
     assert "9.99" not in text and "| 00 | 1 | 1,000 | 7.00 |" in text and "`run it`" in text
-    assert script.main([str(out), "--readme", str(readme), "--check"]) == 0
+    assert script.main([str(out), "--page", str(page), "--check"]) == 0
 
 
 def test_figures_that_were_typed_are_noticed(script: ModuleType, out: Path, tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text("<!-- figures:begin bytes -->\n<!-- figures:end -->\n")
-    script.main([str(out), "--readme", str(readme)])
-    readme.write_text(readme.read_text().replace("875", "874"))
-    assert script.main([str(out), "--readme", str(readme), "--check"]) == 1
+    page = tmp_path / "figures.md"
+    page.write_text("<!-- figures:begin bytes -->\n<!-- figures:end -->\n")
+    script.main([str(out), "--page", str(page)])
+    page.write_text(page.read_text().replace("875", "874"))
+    assert script.main([str(out), "--page", str(page), "--check"]) == 1
 
 
 def test_a_plot_is_drawn_beside_the_readme(script: ModuleType, out: Path, tmp_path: Path) -> None:
-    readme, name = tmp_path / "README.md", "rate_against_the_promised_error"
-    readme.write_text(f"<!-- figures:begin {name} -->\n<!-- figures:end -->\n")
-    assert script.main([str(out), "--readme", str(readme)]) == 0
-    drawn = tmp_path / "docs" / f"{name}.svg"
-    assert f"](docs/{name}.svg)" in readme.read_text() and "laszip" in drawn.read_text()
-    assert script.main([str(out), "--readme", str(readme), "--check"]) == 0
+    page, name = tmp_path / "figures.md", "rate_against_the_promised_error"
+    page.write_text(f"<!-- figures:begin {name} -->\n<!-- figures:end -->\n")
+    assert script.main([str(out), "--page", str(page)]) == 0
+    drawn = tmp_path / f"{name}.svg"
+    assert f"]({name}.svg)" in page.read_text() and "laszip" in drawn.read_text()
+    assert script.main([str(out), "--page", str(page), "--check"]) == 0
     drawn.write_text(drawn.read_text().replace("laszip", "zip"))
-    assert script.main([str(out), "--readme", str(readme), "--check"]) == 1
+    assert script.main([str(out), "--page", str(page), "--check"]) == 1
 
 
 def test_an_unknown_table_is_refused(script: ModuleType, out: Path) -> None:
