@@ -1,0 +1,35 @@
+"""Compiled kernels are those of the sources: a change in any file of the stages makes them anew."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = "import salpcc.stages, numba; print(numba.config.CACHE_DIR)"
+
+
+def folder(sources: Path, **more: str) -> str:
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment |= {"PYTHONPATH": str(sources), **more}
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+def test_another_source_is_another_folder(tmp_path: Path) -> None:
+    copy = tmp_path / "salpcc"
+    for room in ("schemas", "stages"):
+        shutil.copytree(ROOT / room, copy / room, ignore=shutil.ignore_patterns("__pycache__", "weights"))
+    first = folder(tmp_path, XDG_CACHE_HOME=str(tmp_path))
+    assert first.startswith(str(tmp_path / "salpcc-pipeline" / "kernels-"))
+    assert folder(tmp_path, XDG_CACHE_HOME=str(tmp_path)) == first
+    with open(copy / "stages" / "entropy" / "range_coder.py", "a") as source:
+        source.write("\n")
+    assert folder(tmp_path, XDG_CACHE_HOME=str(tmp_path)) != first
+
+
+def test_a_folder_that_is_set_stays(tmp_path: Path) -> None:
+    assert folder(ROOT / "src", NUMBA_CACHE_DIR=str(tmp_path)) == str(tmp_path)
