@@ -63,8 +63,8 @@ def aim(sensor: SensorModel, points: F64, laser: I64 | None = None) -> tuple[I64
     return chosen, tick, count, off
 
 
-def lies_on(sensor: SensorModel, points: NDArray[np.float32]) -> bool:
-    """Tell whether most returns of ``points (N, 3)`` lie on the lattice as computed from it, neither rounded nor moved."""
+def lies_on(sensor: SensorModel, points: NDArray[np.float32], within: float = _UNROUNDED) -> bool:
+    """Tell whether most returns of ``points (N, 3)`` lie so close to the lattice; as computed from it, neither rounded nor moved."""
     sample = points[:: len(points) // _SAMPLE + 1].astype(np.float64)
     off = aim(sensor, sample[np.abs(sample).max(axis=1, initial=0.0) > 0])[3]
-    return len(off) > _SAMPLE // 10 and bool((off < _UNROUNDED).mean() > 0.5)
+    return len(off) > _SAMPLE // 10 and bool((off < within).mean() > 0.5)

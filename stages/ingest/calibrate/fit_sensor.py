@@ -28,6 +28,7 @@ _REASSIGNED = 0.01  # metres from another laser's cone
 _WORTH_IT = 0.5  # of the misfit of the cones, that undoing a motion leaves
 _EXPLAINED = 0.02  # metres
 _LEAST_EXPLAINED, _LEAST_LASERS = 0.5, 0.7  # of the returns, and of the lasers, of any scan
+_JITTER = 2  # ticks within a firing
 _HOLDS, _CLOSE = 0.8, 0.002  # of all returns, whosever; metres
 
 F64 = NDArray[np.float64]
@@ -191,8 +192,43 @@ def _driven(model: SensorModel, raw: list[F64], laser: list[I64]) -> SensorModel
     found = find_driver(model, points, np.concatenate(laser))
     if found is not None and share_identical(found, points) > share_identical(model, points):
         aimed = [aim(found, q, k) for q, k in zip(raw, laser, strict=True)]
-        model = replace(found, shift=find_shifts(found, aimed, laser))
+        listed = [(k[k >= 0], a[1][k >= 0]) for k, a in zip(laser, aimed, strict=True)]
+        shifts = [_listed_shifts(found, listed), find_shifts(found, aimed, laser)]
+        model = replace(
+            found, shift=min(shifts, key=lambda shift: _jumps(listed, shift, found.ticks_per_turn))
+        )
     return replace(model, bit_identical_share=round(share_identical(model, points), 6))
+
+
+def _listed_shifts(model: SensorModel, scans: list[tuple[I64, I64]]) -> I64:
+    """Ticks between the common firing and each laser's ``(L,)``, from the lasers that follow one another in lists ``(laser, tick)``.
+
+    Within a firing two lasers are always as far apart; the pairs that are seen most often connect them all.
+    """
+    lasers, ticks = model.n_lasers, model.ticks_per_turn
+    shift = np.zeros(lasers, np.int64)
+    pairs, hops = [], []
+    for k, t in scans:
+        pairs.append(k[:-1] * lasers + k[1:])
+        hops.append((t[1:] - t[:-1] + ticks // 2) % ticks - ticks // 2)
+    pair, hop = np.concatenate(pairs), np.concatenate(hops)
+    group = np.arange(lasers)
+    for edge in np.argsort(-np.bincount(pair, minlength=lasers * lasers), kind="stable")[: 4 * lasers]:
+        a, b = divmod(int(edge), lasers)
+        own = hop[pair == edge]
+        if group[a] == group[b] or not len(own):
+            continue
+        values, counts = np.unique(own, return_counts=True)
+        joined = group == group[b]
+        shift[joined] += shift[a] + values[counts.argmax()] - shift[b]
+        group[joined] = group[a]
+    return shift
+
+
+def _jumps(scans: list[tuple[I64, I64]], shift: I64, ticks: int) -> int:
+    """How often the common firing of the next point of a list is another one."""
+    phases = [(tick - shift[laser]) % ticks for laser, tick in scans]
+    return sum(int((np.abs((np.diff(p) + ticks // 2) % ticks - ticks // 2) > _JITTER).sum()) for p in phases)
 
 
 def _check_all(off: list[F64], scans: Sequence[Listed]) -> None:

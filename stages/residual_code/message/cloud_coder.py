@@ -17,6 +17,7 @@ from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layout, LayoutError
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
 
 _WHOLE, _ROS1, _CHANNEL = 1, 2, 4
@@ -30,12 +31,14 @@ def encode_cloud(
     points: NDArray[np.float32],
     exact: bool,
     before: bytearray,
+    sensor: SensorModel | None = None,
 ) -> tuple[bytes, Cloud]:
     """Encode what a cloud adds to the decoded points ``(N, 3)`` of a scan.
 
     Args:
         exact: the points are; float64 coordinates are then coded in full, else they follow the points.
         before: the envelope of the scan before; becomes that of this scan.
+        sensor: whose lattice the points may lie on.
 
     Returns:
         the section, and the cloud as it will be decoded.
@@ -46,7 +49,7 @@ def encode_cloud(
     code = encode_bytes(envelope, before)
     loose = encode_bytes(cloud.loose, bytearray())
     layout = cloud.layout
-    known = points_of(points, cloud)
+    known = points_of(points, cloud, sensor)
     flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1 + (cloud.channel > 0) * _CHANNEL
     parts = [
         _SECTION.pack(flags, len(topic), len(cloud.head), len(cloud.tail), len(code), len(loose)),
@@ -65,7 +68,12 @@ def encode_cloud(
 
 
 def decode_cloud(
-    section: bytes, n_points: int, points: NDArray[np.float32], exact: bool, before: bytearray
+    section: bytes,
+    n_points: int,
+    points: NDArray[np.float32],
+    exact: bool,
+    before: bytearray,
+    sensor: SensorModel | None = None,
 ) -> Cloud:
     """Inverse of :func:`encode_cloud`.
 
@@ -113,7 +121,7 @@ def decode_cloud(
     if cloud.whole:
         raw = section[at - n_loose : at]
         cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
-    known = points_of(points, cloud)
+    known = points_of(points, cloud, sensor)
     columns = []
     for field, base in _columns(layout, points):
         if base is not None and not exact:
@@ -126,10 +134,10 @@ def decode_cloud(
     return replace(cloud, rest=_rest(layout, columns, len(points)))
 
 
-def points_of(points: NDArray[np.float32], cloud: Cloud) -> Points:
+def points_of(points: NDArray[np.float32], cloud: Cloud, sensor: SensorModel | None = None) -> Points:
     """What the fields of a scan are predicted from: its decoded points ``(N, 3)``, and how they lie."""
     layout = cloud.layout
-    return Points.of(points, layout.width if cloud.whole and layout.height > 1 else 0)
+    return Points.of(points, layout.width if cloud.whole and layout.height > 1 else 0, sensor)
 
 
 def _columns(layout: Layout, points: NDArray[np.float32]) -> list[tuple[Any, NDArray[np.float64] | None]]:

@@ -7,34 +7,57 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.columns import (
     PREDICTORS,
     costs,
     decode_residuals,
     encode_residuals,
 )
+from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.entropy.number_forms import (
     BITS,
     DECIMAL,
+    MOST_DIGITS,
     ORDERED,
     SCALES,
     find_scale,
     from_bits,
     from_scale,
+    from_spans,
     order,
+    spans_of,
     to_bits,
     to_scale,
 )
 from salpcc.stages.entropy.symbols import decode_symbols, encode_symbols
+from salpcc.stages.lattice.aim import lies_on
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.residual_code.message.column_values import decode_columns, encode_columns, find_shifts
+from salpcc.stages.residual_code.message.firing_times import (
+    Clocked,
+    Fired,
+    decode_times,
+    find_times,
+    fired_by,
+)
+from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
 
-CONSTANT, RESIDUALS, SYMBOLS = range(3)
+CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS = range(6)
 _RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, period, length
+_BY_LASER = struct.Struct("<I")  # length
+_TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
+_COLUMNS = struct.Struct("<BqII")  # void, origin, lengths of shifts and values
+_CLOSE = 0.002  # metres from the lattice
+_FEWEST = 500  # values; delays, shifts and the like of fewer cost more than they save
+_WORTH_IT = 0.05  # bits a value; fields that take less are left
 _SAMPLE = 1 << 16
 Values = NDArray[Any]
 Integers = NDArray[np.int64]
@@ -49,22 +72,37 @@ class Points:
         void: ``(N,)`` whether a point has no return: all zeros, or NaN.
         ranges: ``(N,)`` float64, distance from the sensor in metres, 0 where void.
         periods: distances at which fields may repeat.
+        width: of a row of an organised cloud, else 0.
+        sensor: whose lattice they may lie on.
     """
 
     xyz: NDArray[np.float32]
     void: NDArray[np.bool_]
     ranges: NDArray[np.float64]
     periods: tuple[int, ...]
+    width: int = 0
+    sensor: SensorModel | None = None
 
     @classmethod
-    def of(cls, xyz: NDArray[np.float32], width: int) -> Points:
+    def of(cls, xyz: NDArray[np.float32], width: int, sensor: SensorModel | None = None) -> Points:
         """Derive it from decoded points; ``width`` is that of a row of an organised cloud, else 0."""
         wide = xyz.astype(np.float64)
         with np.errstate(invalid="ignore", over="ignore"):
             squares = (wide[:, 0] * wide[:, 0] + wide[:, 1] * wide[:, 1]) + wide[:, 2] * wide[:, 2]
             void = ~((squares > 0) & (squares < 1e12))
         ranges = np.sqrt(np.where(void, 0.0, squares))
-        return cls(xyz, void, ranges, (1, width, 4 * width) if width > 1 else (1, 16, 32, 64, 128))
+        periods = (1, width, 4 * width) if width > 1 else (1, 16, 32, 64, 128)
+        return cls(xyz, void, ranges, periods, width, sensor)
+
+    @cached_property
+    def fired(self) -> Fired | None:
+        """Lasers and ticks of the points; None without a sensor."""
+        return None if self.sensor is None else fired_by(self.sensor, self.xyz)
+
+    @cached_property
+    def on_lattice(self) -> bool:
+        """Whether lasers and ticks mean anything; to be asked by a writer only."""
+        return self.sensor is not None and lies_on(self.sensor, self.xyz, _CLOSE)
 
 
 def encode_field(values: Values, points: Points, base: Values | None = None) -> bytes:
@@ -102,7 +140,118 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
             stream = encode_symbols(symbols, _flags(points, void), period)
             if len(stream) + 1 + _RECORD.size < len(coded):
                 coded = bytes([SYMBOLS]) + _RECORD.pack(*way[:5], period, len(stream)) + stream
-    return coded
+    if base is not None or len(values) < _FEWEST or 8 * len(coded) < _WORTH_IT * len(values):
+        return coded
+    others = (encode(values, points) for encode in (_encode_by_laser, _encode_times, _encode_columns))
+    return min([coded, *(other for other in others if other is not None)], key=len)
+
+
+def _encode_by_laser(values: Values, points: Points) -> bytes | None:
+    """A field of small numbers that follow from the laser; None where it is none."""
+    if values.dtype.kind == "f" or not points.on_lattice or points.fired is None:
+        return None
+    symbols = to_bits(values)
+    if values.dtype.itemsize == 1:
+        symbols = symbols & 255
+    if symbols.min() < 0 or symbols.max() > 255:
+        return None
+    stream = encode_by_laser(symbols, points.fired.laser, points.fired.lasers)
+    return bytes([BY_LASER]) + _BY_LASER.pack(len(stream)) + stream
+
+
+def _encode_times(values: Values, points: Points) -> bytes | None:
+    """A field that goes on from firing to firing; None where it does not."""
+    if values.dtype.itemsize < 4 or not points.on_lattice or points.fired is None:
+        return None
+    spans = spans_of(values)
+    if spans is None:
+        return None
+    found = find_times(points.fired, spans.low, spans.high)
+    if found is None:
+        return None
+    clocked, stream = found
+    delays = _small(clocked.delay)
+    head = _TIMES.pack(
+        spans.form, spans.power, clocked.shifted, clocked.apart, spans.origin, len(delays), len(stream)
+    )
+    return bytes([TIMES]) + head + delays + stream
+
+
+def _encode_columns(values: Values, points: Points) -> bytes | None:
+    """A field that follows from the column of an organised cloud; None where it is none."""
+    if values.dtype.itemsize < 2 or points.width < 2 or len(values) % points.width:
+        return None
+    bits = to_bits(values)
+    origin = int(bits[0])
+    integers = bits - origin
+    shifts = find_shifts(integers, points.void, points.width)
+    told = _small(shifts)
+    coded = []
+    for void in (0, 1) if points.void.any() else (0,):
+        stream = encode_columns(integers, _flags(points, void), points.width, shifts)
+        if stream is not None:
+            head = _COLUMNS.pack(void, origin, len(told), len(stream))
+            coded.append(bytes([COLUMNS]) + head + told + stream)
+    return min(coded, key=len, default=None)
+
+
+def _small(values: Integers) -> bytes:
+    return run_encoder(
+        lambda out: int(encode_integers(values[:, None], integer_model(1), out)), 16 * len(values)
+    )
+
+
+def _read_small(n: int, data: bytes) -> Integers:
+    rows, sound = decode_integers(n, 1, integer_model(1), np.frombuffer(bytearray(data), np.uint8))
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return rows[:, 0]
+
+
+def _decode_by_laser(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    ((length,), at) = _unpacked(_BY_LASER, data, at)
+    if points.fired is None or at + length > len(data):
+        raise ArchiveError("payload does not decode")
+    symbols, sound = decode_by_laser(points.fired.laser, points.fired.lasers, data[at : at + length])
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return from_bits(symbols, kind), at + length
+
+
+def _decode_times(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    (form, power, shifted, apart, origin, n_delays, length), at = _unpacked(_TIMES, data, at)
+    end = at + n_delays + length
+    if points.fired is None or form > DECIMAL or power > MOST_DIGITS or shifted > 1 or end > len(data):
+        raise ArchiveError("payload does not decode")
+    delay = _read_small(points.fired.lasers + 1, data[at : at + n_delays])
+    numbers, sound = decode_times(
+        points.fired, Clocked(bool(shifted), apart, delay), data[at + n_delays : end]
+    )
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return from_spans(numbers, form, power, origin, kind), end
+
+
+def _decode_columns(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    (void, origin, n_shifts, length), at = _unpacked(_COLUMNS, data, at)
+    end = at + n_shifts + length
+    n = len(points.void)
+    if points.width < 2 or n % points.width or void > 1 or end > len(data):
+        raise ArchiveError("payload does not decode")
+    shifts = _read_small(n // points.width, data[at : at + n_shifts])
+    integers, sound = decode_columns(_flags(points, void), points.width, shifts, data[at + n_shifts : end])
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return from_bits(_wrap(integers + origin, 8 * kind.itemsize), kind), end
+
+
+def _unpacked(what: struct.Struct, data: bytes, at: int) -> tuple[tuple[Any, ...], int]:
+    if at + what.size > len(data):
+        raise ArchiveError("payload does not decode")
+    return what.unpack_from(data, at), at + what.size
+
+
+_DECODE = {BY_LASER: _decode_by_laser, TIMES: _decode_times, COLUMNS: _decode_columns}
 
 
 def decode_field(
@@ -119,6 +268,8 @@ def decode_field(
     if data[at] == CONSTANT:
         end = at + 1 + kind.itemsize
         return np.full(n, np.frombuffer(data, kind, 1, at + 1)[0]), end
+    if data[at] in _DECODE:
+        return _DECODE[data[at]](data, at + 1, kind, points)
     if at + 1 + _RECORD.size > len(data):
         raise ArchiveError("payload does not decode")
     form, scale, based, void, predictor, period, length = _RECORD.unpack_from(data, at + 1)

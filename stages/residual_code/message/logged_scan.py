@@ -32,14 +32,14 @@ def encode_intensity(sweep: Sweep, sensor: SensorModel) -> bytes:
     if sweep.cloud.layout.slots[3] is None:
         return b""
     scan = sweep_to_scan(sweep, sensor)
-    return encode_field(scan.intensity, points_of(scan.points, sweep.cloud))
+    return encode_field(scan.intensity, points_of(scan.points, sweep.cloud, sensor))
 
 
 def encode_logged(sweep: Sweep, sensor: SensorModel, before: bytearray) -> tuple[bytes, Sweep]:
     """Encode the cloud of a sweep; return the stream, and the sweep as it will be decoded."""
     assert sweep.cloud is not None
     points = sweep_to_scan(sweep, sensor).points
-    stream, cloud = encode_cloud(sweep.cloud, points, sweep.max_error == 0, before)
+    stream, cloud = encode_cloud(sweep.cloud, points, sweep.max_error == 0, before, sensor)
     return stream, replace(sweep, cloud=cloud)
 
 
@@ -55,14 +55,14 @@ def decode_logged(
         ArchiveError: a stream is damaged.
     """
     points = sweep_to_scan(sweep, sensor).points
-    cloud = decode_cloud(stream, sweep.n_points, points, sweep.max_error == 0, before)
+    cloud = decode_cloud(stream, sweep.n_points, points, sweep.max_error == 0, before, sensor)
     sweep = replace(sweep, cloud=cloud)
     if intensity is None:
         return sweep
     if cloud.layout.slots[3] is None:
         values = intensity_of(cloud)
     else:
-        values, end = decode_field(intensity, 0, np.dtype(np.float32), points_of(points, cloud))
+        values, end = decode_field(intensity, 0, np.dtype(np.float32), points_of(points, cloud, sensor))
         if end != len(intensity):
             raise ArchiveError("payload does not decode")
     on, off = source_places(sweep, sensor)

@@ -1,0 +1,93 @@
+"""Fields of an organised cloud that follow from the column in which a row was measured, such as times.
+
+The rows of some sensors are shifted against one another, so that columns point the same way. What was measured together lies at
+``(column + shift[row]) mod width``; a value is told from the last one there, of the same kind (void or not).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
+
+_LARGEST = 1 << 39
+_SIZES = 12  # told apart
+_LOOKED_AT = 64  # columns
+
+I64 = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@njit(cache=True)
+def find_shifts(values: I64, void: Flags, width: int) -> I64:
+    """Return the shift of each row against the first, ``(H,)``: the one by which most values are those above."""
+    rows = len(values) // width
+    shifts = np.zeros(rows, np.int64)
+    step = max(width // _LOOKED_AT, 1)
+    for row in range(1, rows):
+        best, known = -1, shifts[row - 1]
+        for turn in range(width):
+            shift = (known + turn) % width
+            same = 0
+            for column in range(0, width, step):
+                here = row * width + column
+                there = (row - 1) * width + (column + shift - known) % width
+                same += not void[here] and not void[there] and values[here] == values[there]
+            if same > best:
+                best, shifts[row] = same, shift
+            if same * step > width * 3 // 4:
+                break
+    return shifts
+
+
+@njit(cache=True)
+def _code(writing, state, data, values, void, width, shifts, bits):  # type: ignore[no-untyped-def]
+    """Write or read values ``(N,)``."""
+    last = np.zeros((2, width), np.int64)
+    seen = np.zeros((2, width), np.bool_)
+    left, left_size = np.zeros(2, np.int64), np.zeros(2, np.int64)
+    pace = np.zeros(2, np.int64)
+    for i in range(len(void)):
+        kind = np.int64(void[i])
+        at = (i % width + shifts[i // width]) % width
+        known = np.int64(seen[kind, at])
+        expected = last[kind, at] if known else left[kind] + pace[kind]
+        off = values[i] - expected
+        if writing and abs(off) >= _LARGEST:
+            state[3] = 1
+            return
+        context = (kind * 2 + known) * _SIZES + min(left_size[kind], _SIZES - 1)
+        off = code_number(writing, state, data, bits, context, bits, context, off)
+        if not writing:
+            if state[3] != 0:
+                return
+            values[i] = expected + off
+        left_size[kind] = (size_of(abs(off)) + 1) // 2
+        step = values[i] - left[kind]
+        if not known and abs(step) < _LARGEST // 2:
+            pace[kind] = pace[kind] + ((step - pace[kind]) >> 3) if pace[kind] else step
+        left[kind] = last[kind, at] = values[i]
+        seen[kind, at] = True
+
+
+def encode_columns(values: I64, void: Flags, width: int, shifts: I64) -> bytes | None:
+    """Encode values ``(N,)``; None where they differ too much."""
+    out = np.empty(12 * len(values) + 4096, np.uint8)
+    state = start_encoder()
+    _code(True, state, out, values, void, width, shifts, _models())
+    return None if state[3] else out[: int(finish_encoder(state, out))].tobytes()
+
+
+def decode_columns(void: Flags, width: int, shifts: I64, data: bytes) -> tuple[I64, bool]:
+    """Inverse of :func:`encode_columns`: the values, and whether the data made sense."""
+    raw = np.frombuffer(bytearray(data), np.uint8)
+    values, state = np.zeros(len(void), np.int64), start_decoder(raw)
+    _code(False, state, raw, values, void, width, shifts, _models())
+    return values, bool(state[3] == 0)
+
+
+def _models() -> NDArray[np.uint16]:
+    return new_bits(4 * _SIZES * PER_CONTEXT)

@@ -1,0 +1,299 @@
+"""Times of points, from the laser and the firing: a clock that goes on from firing to firing, and each laser's delay behind it.
+
+Values are whole numbers (:class:`.number_forms.Spans`), often several that mean the same: the time of a point is ``clock + delay[laser]``,
+rounded to what was recorded, so the clock is finer than what shows of it; the writer picks one that goes on evenly, and then next to nothing is to be said of it.
+
+A firing begins where a laser comes back, or where a point's tick, less the laser's own shift, is no longer that of the firing before.
+The clock then most often goes on by one of the last few steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.entropy.range_coder import (
+    finish_encoder,
+    new_bits,
+    start_decoder,
+    start_encoder,
+)
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_bit, code_even, code_number
+from salpcc.stages.lattice.aim import aim
+from salpcc.stages.lattice.sensor_model import SensorModel
+
+_ROUNDS = 6
+_LARGEST = (1 << 39) - 1  # difference that a number holds
+_CLOCK_BITS = 64
+_SAME = (0.3, 2.0, 1e9)  # of the ticks from firing to firing; the last: only lasers tell firings
+_TRIED, _FINALISTS = 1 << 15, 2  # points, ways
+_STEPS = 6  # of the clock from firing to firing that are remembered
+
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Fired:
+    """What a time is told from.
+
+    Attributes:
+        laser: of each point ``(N,)``; the number of lasers where there is none.
+        tick: of each point ``(N,)``.
+        shift: of each laser ``(L + 1,)`` against the common firing, in ticks, roughly.
+        ticks: in a turn.
+    """
+
+    laser: I64
+    tick: I64
+    shift: I64
+    ticks: int
+
+    @property
+    def lasers(self) -> int:
+        """Lasers of the sensor."""
+        return len(self.shift) - 1
+
+
+_ON_LATTICE = 0.01  # metres; with an error allowed points are half a level off
+
+
+def fired_by(sensor: SensorModel, points: NDArray[np.float32]) -> Fired:
+    """Put decoded points ``(N, 3)`` on the lattice of their sensor."""
+    laser, tick, _, off = aim(sensor, points.astype(np.float64))
+    lasers = np.where((laser >= 0) & (off < _ON_LATTICE), laser, sensor.n_lasers)
+    return Fired(lasers, tick, np.append(sensor.shift, 0), sensor.ticks_per_turn)
+
+
+@dataclass(frozen=True, eq=False)
+class Clocked:
+    """How times are told.
+
+    Attributes:
+        shifted: lasers have shifts.
+        apart: ticks that points of one firing differ by at most.
+        delay: of each laser ``(L + 1,)``, 0 for none.
+    """
+
+    shifted: bool
+    apart: int
+    delay: I64
+
+
+@njit(cache=True)
+def _begins(laser: I64, phase: I64, ticks: int, apart: int, nobody: int) -> NDArray[np.bool_]:
+    """Mark the first point ``(N,)`` of every firing."""
+    begins = np.zeros(len(laser), np.bool_)
+    fired = np.full(nobody + 1, -1)
+    firing, first, before = 0, np.int64(-1), np.int64(-1)
+    for i in range(len(laser)):
+        k = laser[i]
+        if k == nobody:
+            continue
+        off = (phase[i] - first) % ticks
+        if first < 0 or min(off, ticks - off) > apart or (fired[k] == firing and k != before):
+            begins[i] = True
+            first = phase[i]
+            firing += 1
+        fired[k] = firing
+        before = k
+    return begins
+
+
+@njit(cache=True)
+def _suits(i: int, begins: NDArray[np.bool_], low: I64, high: I64, laser: I64, delay: I64) -> tuple[int, int]:
+    """The clocks that suit point i and as many of its firing after it as any."""
+    a, b = low[i] - delay[laser[i]], high[i] - delay[laser[i]]
+    j = i + 1
+    while j < len(laser) and not begins[j]:
+        first, last = max(a, low[j] - delay[laser[j]]), min(b, high[j] - delay[laser[j]])
+        if first > last:
+            break
+        a, b = first, last
+        j += 1
+    return a, b
+
+
+@njit(cache=True)
+def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, numbers):  # type: ignore[no-untyped-def]
+    """Write or read the clocks ``(N,)`` of points; ``low``, ``high``: the times that would do, of no use to a reader."""
+    clock = np.int64(0)
+    steps, used = np.zeros(_STEPS, np.int64), np.zeros(_STEPS, np.int64)
+    recent, told = 0, _STEPS
+    for i in range(len(laser)):
+        new = clock
+        a, b = np.int64(0), np.int64(0)
+        if writing and (i == 0 or begins[i] or not low[i] <= clock + delay[laser[i]] <= high[i]):
+            a, b = _suits(i, begins, low, high, laser, delay)
+        if i == 0:
+            first = np.int64(0)
+            for part in range(_CLOCK_BITS // 16):
+                first |= code_even(
+                    writing, state, data, 16, ((a + (b - a) // 2) >> (16 * part)) & 0xFFFF
+                ) << (16 * part)
+            new = first
+        elif begins[i]:
+            which = _STEPS
+            if writing:
+                for c in range(_STEPS - 1, -1, -1):
+                    if a <= clock + steps[c] <= b:
+                        which = c
+                if told < _STEPS and a <= clock + steps[told] <= b and which == _STEPS:
+                    which = told
+            c = 0
+            while c < _STEPS:
+                at = 8 + told * _STEPS + c
+                if code_bit(writing, state, data, bits, at, bits, at, np.int64(which != c)) == 0:
+                    break
+                c += 1
+            if c == _STEPS:
+                wanted = clock + steps[recent]
+                went = code_number(
+                    writing, state, data, numbers, 0, numbers, 0, min(max(wanted, a), b) - wanted
+                )
+                new = wanted + went
+                c = int(used.argmin())
+                steps[c] = new - clock
+                told = _STEPS
+            else:
+                new = clock + steps[c]
+                told = c
+            used[c] = i
+            recent = c
+        else:
+            changes = writing and not low[i] <= clock + delay[laser[i]] <= high[i]
+            at = 0 if i < 2 or clocks[i - 1] == clocks[i - 2] else 1
+            if code_bit(writing, state, data, bits, at, bits, at, np.int64(changes)) != 0:
+                new = clock + code_number(
+                    writing, state, data, numbers, 1, numbers, 1, min(max(clock, a), b) - clock
+                )
+        if not writing and state[3] != 0:
+            return
+        if writing and abs(new - clock) > _LARGEST and i > 0:
+            state[3] = 1
+            return
+        clock = new
+        clocks[i] = clock
+
+
+@njit(cache=True)
+def _delays(laser: I64, begins: NDArray[np.bool_], low: I64, high: I64, lasers: int) -> I64:
+    """Fit the delay of each laser ``(L + 1,)``, about that of the first to fire."""
+    n = len(laser)
+    delay = np.zeros(lasers + 1, np.int64)
+    by_laser = np.argsort(laser, kind="mergesort")
+    firing = np.cumsum(begins.astype(np.int64))
+    clock = np.zeros(firing[-1] + 1, np.int64)
+    for round_ in range(_ROUNDS):
+        # The clock of a firing: where its intervals meet, or between.
+        start = 0
+        while start < n:
+            end = start
+            a, b = np.int64(-1) << 62, np.int64(1) << 62
+            while end < n and firing[end] == firing[start]:
+                if laser[end] < lasers:
+                    a = max(a, low[end] - delay[laser[end]])
+                    b = min(b, high[end] - delay[laser[end]])
+                end += 1
+            clock[firing[start]] = (low[start] if round_ == 0 else a) // 2 + (
+                high[start] if round_ == 0 else b
+            ) // 2
+            start = end
+        # The delay of a laser: what most of its points agree on.
+        start = 0
+        while start < n:
+            end = start
+            k = laser[by_laser[start]]
+            while end < n and laser[by_laser[end]] == k:
+                end += 1
+            if k < lasers:
+                own = by_laser[start:end]
+                delay[k] = _agreed(low[own] - clock[firing[own]], high[own] - clock[firing[own]])
+            start = end
+    return delay
+
+
+@njit(cache=True)
+def _agreed(low: I64, high: I64) -> int:
+    """The number that most of the intervals hold, the middle of where they do."""
+    starts, ends = np.sort(low), np.sort(high)
+    best, depth, at, i, j = 0, 0, starts[0], 0, 0
+    until = ends[0]
+    while i < len(starts):
+        if starts[i] <= ends[j]:
+            depth += 1
+            if depth > best:
+                best, at, until = depth, starts[i], ends[j]
+            i += 1
+        else:
+            depth -= 1
+            j += 1
+    return at + (until - at) // 2
+
+
+def find_times(fired: Fired, low: I64, high: I64) -> tuple[Clocked, bytes] | None:
+    """Find how to tell the times ``low ... high (N,)`` of points best, and encode them; None where that cannot be."""
+    part = slice(0, _TRIED)
+    few = Fired(fired.laser[part], fired.tick[part], fired.shift, fired.ticks)
+    tried: list[tuple[int, Clocked]] = []
+    for shifted in (True, False) if fired.shift.any() else (False,):
+        phase = _phase(fired, shifted)[fired.laser < fired.lasers]
+        steps = np.abs((np.diff(phase) + fired.ticks // 2) % fired.ticks - fired.ticks // 2)
+        pace = float(np.median(steps[steps > steps.mean()])) if (steps > steps.mean()).any() else 0.0
+        for same in _SAME:
+            way = _fitted(
+                Clocked(shifted, int(min(same * pace, fired.ticks)), fired.shift), few, low[part], high[part]
+            )
+            coded = encode_times(few, low[part], high[part], way)
+            if coded is not None:
+                tried.append((len(coded), way))
+    best: tuple[Clocked, bytes] | None = None
+    for _, early in sorted(tried, key=lambda found: found[0])[:_FINALISTS]:
+        for way in (early, _fitted(early, fired, low, high)):  # early times are rounded least
+            coded = encode_times(fired, low, high, way)
+            if coded is not None and (best is None or len(coded) < len(best[1])):
+                best = way, coded
+    return best
+
+
+def _fitted(way: Clocked, fired: Fired, low: I64, high: I64) -> Clocked:
+    """The same way with the delays of these points."""
+    return replace(way, delay=_delays(fired.laser, _of(fired, way), low, high, fired.lasers))
+
+
+def _phase(fired: Fired, shifted: bool) -> I64:
+    """Tick of the common firing of each point ``(N,)``."""
+    return (fired.tick - fired.shift[fired.laser] * int(shifted)) % fired.ticks
+
+
+def _of(fired: Fired, way: Clocked) -> NDArray[np.bool_]:
+    return np.asarray(
+        _begins(fired.laser, _phase(fired, way.shifted), fired.ticks, way.apart, len(way.delay) - 1)
+    )
+
+
+def encode_times(fired: Fired, low: I64, high: I64, way: Clocked) -> bytes | None:
+    """Encode times; None where that cannot be."""
+    out = np.empty(12 * len(low) + 4096, np.uint8)
+    state = start_encoder()
+    clocks = np.zeros(len(low), np.int64)
+    _code(True, state, out, fired.laser, way.delay, _of(fired, way), low, high, clocks, *_models())
+    told = clocks + way.delay[fired.laser]
+    if state[3] != 0 or ((told < low) | (told > high)).any():
+        return None
+    return out[: int(finish_encoder(state, out))].tobytes()
+
+
+def decode_times(fired: Fired, way: Clocked, data: bytes) -> tuple[I64, bool]:
+    """Inverse of :func:`encode_times`: the times ``(N,)`` as whole numbers, and whether the data made sense."""
+    raw = np.frombuffer(bytearray(data), np.uint8)
+    state = start_decoder(raw)
+    clocks = np.zeros(len(fired.laser), np.int64)
+    _code(False, state, raw, fired.laser, way.delay, _of(fired, way), clocks, clocks, clocks, *_models())
+    return clocks + way.delay[fired.laser], bool(state[3] == 0)
+
+
+def _models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    return new_bits(8 + (_STEPS + 1) * _STEPS), new_bits(2 * PER_CONTEXT)

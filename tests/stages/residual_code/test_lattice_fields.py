@@ -1,0 +1,180 @@
+"""Fields that follow from laser, firing and column: exact, whatever they hold, and in next to no bits where they do follow."""
+
+import os
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.number_forms import from_spans, spans_of
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.residual_code.message.field_coder import (
+    BY_LASER,
+    COLUMNS,
+    CONSTANT,
+    TIMES,
+    Points,
+    decode_field,
+    encode_field,
+)
+
+LASERS, FIRINGS = 16, 400
+ORDER = np.array([0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15])  # as lasers fire
+FIRED, DELAY = 55_296, 2_304  # ns
+
+
+def sensor() -> SensorModel:
+    zero = np.zeros(LASERS)
+    theta = np.radians(np.linspace(15, -15, LASERS))
+    return SensorModel("x", 36_000, 0.002, theta, zero, zero, zero, zero, zero.astype(np.int64))
+
+
+@pytest.fixture(scope="module")
+def listed() -> tuple[Points, np.ndarray, np.ndarray]:
+    """Points of a turn as they fired, a tenth without a return; their lasers, and times in ns: packets are stamped to 1 us."""
+    rng = np.random.default_rng(0)
+    laser, firing = np.tile(ORDER, FIRINGS), np.repeat(np.arange(FIRINGS), LASERS)
+    tick = (firing * 20 + rng.integers(0, 2, FIRINGS)[firing]) % 36_000
+    stamp = rng.integers(-3, 4, FIRINGS // 24 + 1)[firing // 24] * 1000
+    time = firing * FIRED + stamp + DELAY * np.argsort(ORDER)[laser] + 7_000
+    count = np.rint((8.0 + 3.0 * np.sin(tick / 4000) + rng.normal(0, 0.02, len(tick))) / 0.002)
+    xyz = unproject(sensor(), laser.astype(np.uint8), tick.astype(np.int32), count).astype(np.float32)
+    seen = rng.random(len(tick)) < 0.9
+    return Points.of(xyz[seen], 0, sensor()), laser[seen], time[seen]
+
+
+def coded(values: np.ndarray, points: Points) -> bytes:
+    data = encode_field(values, points)
+    back, end = decode_field(data, 0, values.dtype, points)
+    assert end == len(data)
+    assert back.tobytes() == values.tobytes()
+    return data
+
+
+def test_rings_cost_nothing(listed) -> None:
+    points, laser, _ = listed
+    for ring in (laser.astype(np.uint16), (2 * (15 - laser) + 100).astype(np.uint8)):
+        data = coded(ring, points)
+        assert data[0] == BY_LASER
+        assert 8 * len(data) < 0.06 * len(ring)
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        lambda t: (t / 1e9).astype(np.float32),
+        lambda t: (t / 1e6).astype(np.float32),
+        lambda t: 1_700_000_000.0 + t / 1e9,
+        lambda t: (t / 1e3 + 1.7e15).astype(np.float64),
+        lambda t: t.astype(np.uint32),
+        lambda t: t.astype(np.int32) - 100_000,
+        lambda t: t.astype(np.int64).astype(np.float64) / 1e9,
+    ],
+    ids=["f4 s", "f4 ms", "f8 unix s", "f8 unix us", "u4 ns", "i4 ns", "f8 s"],
+)
+def test_times_follow_from_the_firing(listed, of) -> None:
+    points, _, time = listed
+    data = coded(of(time), points)
+    assert 8 * len(data) < 0.6 * len(time)
+
+
+def test_two_returns_of_a_laser_have_one_time(listed) -> None:
+    points, _, time = listed
+    twice = np.repeat(np.arange(len(time)), 1 + np.random.default_rng(1).integers(0, 2, len(time)))
+    both = Points.of(points.xyz[twice], 0, points.sensor)
+    data = coded((time[twice] / 1e9).astype(np.float32), both)
+    assert data[0] == TIMES
+    assert 8 * len(data) < 0.5 * len(twice)
+
+
+@pytest.mark.parametrize("void", ["timed", "zero"])
+def test_times_of_columns(void: str) -> None:
+    """Rows are shifted, as sensors do that turn their columns upright."""
+    rng = np.random.default_rng(0)
+    rows, width = 16, 256
+    times = np.cumsum(97_656 + rng.integers(-900, 900, width)).astype(np.uint32)
+    at = (np.arange(width) + 12 * (np.arange(rows)[:, None] % 4)) % width
+    values = times[at].ravel()
+    xyz = rng.uniform(1, 9, (rows * width, 3)).astype(np.float32)
+    gone = rng.random(rows * width) < 0.3
+    xyz[gone] = 0
+    if void == "zero":
+        values[gone] = 0
+    data = coded(values, Points.of(xyz, width))
+    assert data[0] == COLUMNS
+    assert 8 * len(data) < 2.0 * len(values)
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_anything_comes_back(listed, data: st.DataObject) -> None:
+    points, laser, time = listed
+    kind = np.dtype(data.draw(st.sampled_from(["i1", "u1", "u2", "i4", "u4", "i8", "u8", "f4", "f8"])))
+    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
+    with np.errstate(all="ignore"):
+        values = data.draw(st.sampled_from([time / 1e9, time * 1.0, laser * 1.0, -time * 1e30])).astype(kind)
+    bits = values.view(f"u{kind.itemsize}")
+    some = rng.random(len(bits)) < data.draw(st.sampled_from([0.0, 0.01, 1.0]))
+    bits[some] = rng.integers(0, 1 << min(8 * kind.itemsize, 63), some.sum())
+    coded(values, points)
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8", "u4"])
+def test_spans_hold_what_they_mean(kind: str) -> None:
+    values = (np.random.default_rng(0).uniform(0, 0.1, 2000) * (1e9 if kind == "u4" else 1)).astype(kind)
+    if kind == "f8":
+        values += 1.7e9
+    spans = spans_of(values)
+    assert spans is not None
+    for end in (spans.low, spans.high):
+        assert (from_spans(end, spans.form, spans.power, spans.origin, values.dtype) == values).all()
+
+
+def test_damage_is_an_error_or_other_values(listed) -> None:
+    points, laser, time = listed
+    rng = np.random.default_rng(0)
+    for values in (laser.astype(np.uint8), (time / 1e9).astype(np.float32)):
+        data = encode_field(values, points)
+        assert data[0] != CONSTANT
+        for _ in range(60):
+            bad = bytearray(data[: rng.integers(1, len(data) + 1)])
+            bad[rng.integers(0, min(len(bad), 60))] ^= 1 << rng.integers(0, 8)
+            try:
+                back, _ = decode_field(bytes(bad), 0, values.dtype, points)
+            except ArchiveError:
+                continue
+            assert len(back) == len(values)
+
+
+_SCRIPT = """
+import sys, zlib, numpy as np
+sys.path.insert(0, sys.argv[1])
+from test_lattice_fields import sensor
+from salpcc.stages.residual_code.message.field_coder import Points, decode_field
+held = np.load(sys.argv[2])
+points = Points.of(held["xyz"], 0, sensor())
+values, _ = decode_field(held["data"].tobytes(), 0, np.dtype(np.float32), points)
+print(zlib.crc32(values.tobytes()) == int(held["crc"]))
+"""
+
+
+def test_a_plain_processor_reads_the_same(listed, tmp_path: Path) -> None:
+    points, _, time = listed
+    values = (time / 1e9).astype(np.float32)
+    data = np.frombuffer(encode_field(values, points), np.uint8)
+    np.savez(tmp_path / "held.npz", xyz=points.xyz, data=data, crc=zlib.crc32(values.tobytes()))
+    environment = os.environ | {
+        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+    }
+    command = [sys.executable, "-c", _SCRIPT, str(Path(__file__).parent), str(tmp_path / "held.npz")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "True", done.stderr
