@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from laspy.vlrs.vlr import VLR
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
+from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import scan_columns
 
@@ -79,3 +81,18 @@ def _spread(archive: Archive) -> Iterator[Scan]:
     }
     for place in sorted(chosen):
         yield archive[place]
+
+
+def coordinate_system(name: str) -> Any:
+    """Return the coordinate system that PROJ knows by a name such as ``EPSG:25832``.
+
+    Raises:
+        UsageError: it knows none of it.
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        return CRS.from_user_input(name)
+    except CRSError as error:
+        raise UsageError(f"--crs {name}: not known to PROJ; name it as in EPSG:25832") from error

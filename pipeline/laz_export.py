@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.gps_time import adjusted_gps_time, is_calendar_time
-from salpcc.pipeline.las import intensity_factors, intensity_text, las_intensity, text_record, topic_of
+from salpcc.pipeline.las import (
+    coordinate_system,
+    intensity_factors,
+    intensity_text,
+    las_intensity,
+    text_record,
+    topic_of,
+)
 from salpcc.pipeline.tell import Tell, in_silence
-from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import ASPRS_OF_CLASS, CLASSES
 from salpcc.schemas.scan import Scan
@@ -43,7 +49,7 @@ def to_laz(
     Raises:
         UsageError: ``crs`` is no coordinate system.
     """
-    system = _system(crs) if crs else None
+    system = coordinate_system(crs) if crs else None
     factors = intensity_factors(archive)
     told: set[str] = set()
     wrong = left_out = 0
@@ -137,13 +143,3 @@ def _names(columns: dict[str, NDArray[Any]], standard: set[str]) -> dict[str, st
         fits = len(name) <= _LONGEST and name not in names.values()
         names[of] = name if fits else free_name(name[: _LONGEST - 4], taken)
     return names
-
-
-def _system(name: str) -> Any:
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
-
-    try:
-        return CRS.from_user_input(name)
-    except CRSError as error:
-        raise UsageError(f"--crs {name}: not known to PROJ; name it as in EPSG:25832") from error

@@ -60,6 +60,9 @@ def map_(
     formats: Annotated[
         str, typer.Option(help="Of laz, ply, pcd (tiles) and mcap (whole)")
     ] = "laz,ply,pcd,mcap",
+    crs: Annotated[
+        str | None, typer.Option(metavar="EPSG:…", help="Coordinate system of the poses, written into LAZ")
+    ] = None,
     against: Annotated[
         Path | None, typer.Option(help="Data root with labels; scores the map by them")
     ] = None,
@@ -103,6 +106,7 @@ def map_(
         poses=poses or [],
         formats=wanted,
         against=against,
+        crs=crs,
         rivals=[] if rivals == "none" else [name.strip() for name in rivals.split(",")],
         workers=workers,
         scheduler=scheduler,

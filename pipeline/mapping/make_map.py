@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from salpcc.pipeline.cluster import connect
+from salpcc.pipeline.las import coordinate_system
 from salpcc.pipeline.lock import locked
 from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
 from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
@@ -39,6 +40,8 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         LockedError: another run is using the output folder.
     """
     plan = plan_map(request.archives, request.poses)
+    if request.crs:
+        coordinate_system(request.crs)
     for name in request.rivals:
         cleaner(name)
     refs = labelled(plan, request.against) if request.against is not None else None
@@ -107,6 +110,8 @@ def _summary(
         "sequence": plan.sequence,
         "scans": plan.n_scans,
         "poses": plan.poses,
+        "origin": list(plan.origin),
+        "crs": request.crs,
         "pose_check": [asdict(s.agreement) for s in submaps if s.agreement is not None],
         "config": request.config.model_dump(mode="json"),
         "points_in": sum(s.points for s in submaps),
@@ -138,6 +143,7 @@ def _inputs(request: MapRequest, plan: MapPlan) -> str:
         sorted(request.formats),
         str(request.against),
         sorted(request.rivals),
+        request.crs,
     )
 
 

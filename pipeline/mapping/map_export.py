@@ -10,7 +10,8 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from salpcc.pipeline.las import intensity_text, las_intensity, text_record
+from salpcc.pipeline.las import coordinate_system, intensity_text, las_intensity, text_record
+from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.ply import write_ply
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import ASPRS_OF_CLASS, CLASSES
@@ -35,18 +36,21 @@ _ROW = np.dtype(
 _PCD_KINDS = {"f": "F", "u": "U"}
 
 
-def to_laz(voxels: Voxels, corner: F64, factor: int, path: Path) -> None:
-    """Write LAZ 1.4: places to 1 mm, intensity times ``factor`` and as it is, ASPRS classification.
+def to_laz(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
+    """Write LAZ 1.4: places in the frame of the poses to 1 mm, intensity times the factor and as it is, ASPRS classification.
 
     Our class is user data; ``count`` says how many points were fused.
     """
+    origin, factor = np.array(frame.origin), frame.factor
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = np.full(3, LAZ_SCALE), corner
+    header.scales, header.offsets = np.full(3, LAZ_SCALE), np.floor(corner + origin)
+    if frame.crs:
+        header.add_crs(coordinate_system(frame.crs))
     header.add_extra_dim(laspy.ExtraBytesParams("count", np.uint32, "points fused"))
     header.add_extra_dim(laspy.ExtraBytesParams("mean_intensity", np.float32))
     header.vlrs.append(text_record(intensity_text(factor, np.dtype(np.float32), "mean_intensity")))
     las = laspy.LasData(header)
-    las.xyz = voxels.xyz
+    las.xyz = voxels.xyz + origin
     las.intensity, _ = las_intensity(voxels.intensity, factor)
     las.mean_intensity = voxels.intensity
     las.classification = _ASPRS[voxels.classes]
@@ -57,19 +61,19 @@ def to_laz(voxels: Voxels, corner: F64, factor: int, path: Path) -> None:
         las.write(stream, do_compress=True)
 
 
-def to_ply(voxels: Voxels, corner: F64, factor: int, path: Path) -> None:
-    """Write a binary PLY, float32 places in the map's frame."""
+def to_ply(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
+    """Write a binary PLY, float32 places in the map's frame, whose origin is a comment."""
     rows = _rows(voxels)
-    write_ply({name: rows[name] for name in rows.dtype.names or ()}, path)
+    write_ply({name: rows[name] for name in rows.dtype.names or ()}, path, [_origin_text(frame)])
 
 
-def to_pcd(voxels: Voxels, corner: F64, factor: int, path: Path) -> None:
-    """Write a binary PCD 0.7, float32 places in the map's frame."""
+def to_pcd(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
+    """Write a binary PCD 0.7, float32 places in the map's frame, whose origin is a comment."""
     rows = _rows(voxels)
     names = rows.dtype.names or ()
     kinds = [rows.dtype[name] for name in names]
     header = (
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
+        f"# .PCD v0.7 - Point Cloud Data file format\n# {_origin_text(frame)}\nVERSION 0.7\n"
         f"FIELDS {' '.join(names)}\nSIZE {' '.join(str(kind.itemsize) for kind in kinds)}\n"
         f"TYPE {' '.join(_PCD_KINDS[kind.kind] for kind in kinds)}\nCOUNT {' '.join('1' for _ in kinds)}\n"
         f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n"
@@ -78,18 +82,23 @@ def to_pcd(voxels: Voxels, corner: F64, factor: int, path: Path) -> None:
         stream.write(header.encode() + rows.tobytes())
 
 
-# By suffix, without the dot; each takes a tile's entries, its corner, LAS's factor of intensity and the path.
-WRITERS: dict[str, Callable[[Voxels, F64, int, Path], None]] = {"laz": to_laz, "ply": to_ply, "pcd": to_pcd}
+# By suffix, without the dot; each takes a tile's entries, its corner, the map's frame and the path.
+WRITERS: dict[str, Callable[[Voxels, F64, Frame, Path], None]] = {"laz": to_laz, "ply": to_ply, "pcd": to_pcd}
 FORMATS = (*WRITERS, "mcap")
 
 
-def to_mcap(tiles: Iterable[Voxels], path: Path) -> None:
-    """Write one ``sensor_msgs/msg/PointCloud2`` a tile on ``/map``, frame ``map``; one tile is held at a time."""
+def to_mcap(tiles: Iterable[Voxels], frame: Frame, path: Path) -> None:
+    """Write one ``sensor_msgs/msg/PointCloud2`` a tile on ``/map``, frame ``map``; one tile is held at a time.
+
+    The origin of that frame is metadata ``map``.
+    """
     with atomic(path) as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="salpcc-pipeline")
         schema = writer.register_schema(PLAIN, "ros2msg", SCHEMA_TEXT[PLAIN].encode())
         channel = writer.register_channel(MAP_TOPIC, "cdr", schema, {"offered_qos_profiles": ""})
+        x, y, z = map(repr, frame.origin)
+        writer.add_metadata("map", {"origin_x": x, "origin_y": y, "origin_z": z, "crs": frame.crs or ""})
         for place, voxels in enumerate(tiles):
             rows = _rows(voxels)
             message = CloudMessage(
@@ -97,6 +106,12 @@ def to_mcap(tiles: Iterable[Voxels], path: Path) -> None:
             )
             writer.add_message(channel, place, message.to_cdr(), place, place)
         writer.finish()
+
+
+def _origin_text(frame: Frame) -> str:
+    return (
+        "origin " + " ".join(map(repr, frame.origin)) + " metres" + (f" in {frame.crs}" if frame.crs else "")
+    )
 
 
 def _rows(voxels: Voxels) -> NDArray[np.void]:

@@ -15,6 +15,7 @@ from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 F64 = NDArray[np.float64]
 ODOMETRY = "odometry"
+_FAR = 10_000.0  # metres
 _CHECKED = 24  # groups at most whose given poses are checked by registration
 
 
@@ -45,11 +46,16 @@ class Group:
 
 @dataclass(frozen=True)
 class MapPlan:
-    """The groups of a map in the order of the drive, and where its poses came from."""
+    """The groups of a map in the order of the drive, and where its poses came from.
+
+    Attributes:
+        origin: of the map's frame, which the poses of the groups are in, in the frame of the poses that were given.
+    """
 
     groups: tuple[Group, ...]
     poses: str
     sequence: str
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def n_scans(self) -> int:
@@ -79,6 +85,7 @@ def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
     readers = [ArchiveReader(path) for path in archives]
     _one_sensor(readers)
     groups: list[Group] = []
+    origin: F64 | None = None
     seen: dict[tuple[str, str], Path] = {}
     for at, reader in enumerate(readers):
         names = [entry.name for gop in reader.gops for entry in gop]
@@ -87,6 +94,9 @@ def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
             if other is not reader.path:
                 raise SourceError(f"scan {name} is both in {other} and in {reader.path}; name one of them")
         placed = None if by_odometry else poses_of(names, read_poses(Path(sources[at])), Path(sources[at]))
+        if placed is not None:
+            origin = origin_of(placed) if origin is None else origin
+            placed[:, :3, 3] -= origin
         first = 0
         for gop, entries in enumerate(reader.gops):
             if not entries:
@@ -107,7 +117,17 @@ def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
     if not groups:
         raise SourceError(f"{archives[0]}: no scan in it")
     sequences = dict.fromkeys(group.sequence for group in groups)
-    return MapPlan(_checked(groups), ", ".join(sources), "+".join(sequences))
+    x, y, z = (0.0, 0.0, 0.0) if origin is None else origin.tolist()
+    return MapPlan(_checked(groups), ", ".join(sources), "+".join(sequences), (x, y, z))
+
+
+def origin_of(poses: F64) -> F64:
+    """Return where the frame of a map begins ``(3,)``: at the first of its poses ``(n, 4, 4)``, if that is far from zero.
+
+    Coordinates of a country have millions of metres, of which float32 keeps half a metre and the key of a voxel too little.
+    """
+    first = poses[0, :3, 3] if len(poses) else np.zeros(3)
+    return np.round(first, 3) if np.abs(first).max() > _FAR else np.zeros(3)
 
 
 def _checked(groups: list[Group]) -> tuple[Group, ...]:

@@ -14,7 +14,7 @@ class MapRequest:
     """What a user asks for: the map, and where and how it is made.
 
     ``poses`` as in :func:`salpcc.pipeline.mapping.map_plan.plan_map`; ``against`` is a data root with labels to
-    score by, ``rivals`` are public cleaners to score beside.
+    score by, ``rivals`` are public cleaners to score beside; ``crs`` names the coordinate system of the poses.
     """
 
     archives: list[Path]
@@ -24,6 +24,7 @@ class MapRequest:
     formats: list[str] = field(default_factory=lambda: list(FORMATS))
     against: Path | None = None
     rivals: list[str] = field(default_factory=list)
+    crs: str | None = None
     workers: int | None = None
     scheduler: str | None = None
     keep_shards: bool = False

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from distributed import Client
 
-from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.flow import each
-from salpcc.pipeline.las import intensity_factors
+from salpcc.pipeline.mapping.map_frame import frame_of
 from salpcc.pipeline.mapping.map_plan import F64, ODOMETRY, Group, MapPlan
 from salpcc.pipeline.mapping.map_quality import (
     TruthRef,
@@ -93,9 +92,13 @@ def build_all(
             for t in b.moved(pose).tiles(size)
         }
     )
-    with Archive.open(request.archives[0]) as archive:
-        factor = min(intensity_factors(archive).values(), default=1)
-    facts = plan.sequence, config, request.formats, factor, request.out
+    facts = (
+        plan.sequence,
+        config,
+        request.formats,
+        frame_of(plan.origin, request.archives[0], request.crs),
+        request.out,
+    )
     work = [(tile, parts_of(tile, submaps, places, size), *facts) for tile in names]
     found: dict[int, TileResult] = {}
     for at, result in each(client, build_tile, work, [f"tile-{tile.name}" for tile in names]):

@@ -12,6 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.pipeline.mapping.map_export import WRITERS
+from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.mapping.map_store import (
     TILE,
     batch_to_entries,
@@ -33,7 +34,7 @@ from salpcc.stages.mapping.voxel import Voxels
 
 F64 = NDArray[np.float64]
 
-VERSION = 2  # 2: LAZ of one unit of intensity
+VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,10 @@ def build_tile(
     sequence: str,
     config: MapConfig,
     formats: Sequence[str],
-    factor: int,
+    frame: Frame,
     out: Path,
 ) -> TileResult:
-    """Build a tile and write it in every format, unless all of it is there; ``factor`` is LAS's of intensity."""
+    """Build a tile and write it in every format, unless all of it is there."""
     store = ShardStore(out)
     digest = digest_of(
         VERSION, [asdict(part) for part in parts], asdict(tile), config.model_dump(mode="json")
@@ -114,14 +115,15 @@ def build_tile(
         return TileResult(tile, None, **figures)
     paths = [(form, out / "tiles" / f"{tile.name}.{form}") for form in formats if form in WRITERS]
     stamp = out / "tiles" / f".{tile.name}"
-    fresh = stamp.is_file() and stamp.read_text() == digest
+    written = digest_of(digest, asdict(frame))
+    fresh = stamp.is_file() and stamp.read_text() == written
     missing = [(form, path) for form, path in paths if not (fresh and path.is_file())]
     if missing and facts["kept"]:
         started = time.process_time()
         voxels, against = read_tile(store, ref)
         for form, path in missing:
-            WRITERS[form](voxels[against == 0], tile.corner(config.tile), factor, path)
-        stamp.write_text(digest)
+            WRITERS[form](voxels[against == 0], tile.corner(config.tile), frame, path)
+        stamp.write_text(written)
         figures["cpu_ms"] += 1e3 * (time.process_time() - started)
     return TileResult(tile, ref, **figures)
 

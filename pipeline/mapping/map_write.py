@@ -10,6 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.pipeline.mapping.map_export import to_mcap
+from salpcc.pipeline.mapping.map_frame import frame_of
 from salpcc.pipeline.mapping.map_plan import F64, MapPlan
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
@@ -32,14 +33,20 @@ def write_whole(
     rows: list[dict[str, Any]],
 ) -> None:
     """Write what is one for the whole map: the MCAP, the scans' poses, pictures and records for the report."""
-    lines = [" ".join(f"{value:.9e}" for value in pose[:3].ravel()) for pose in scans]
+    placed = scans.copy()
+    placed[:, :3, 3] += plan.origin
+    lines = [" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in placed]
     names = [name for group in plan.groups for name in group.names]
     with atomic(request.out / "poses.txt") as stream:
         stream.write(("\n".join(lines) + "\n").encode())
     with atomic(request.out / "scans.txt") as stream:
         stream.write(("\n".join(names) + "\n").encode())
     if "mcap" in request.formats:
-        to_mcap(_kept(store, tiles), request.out / "map.mcap")
+        to_mcap(
+            _kept(store, tiles),
+            frame_of(plan.origin, request.archives[0], request.crs),
+            request.out / "map.mcap",
+        )
     else:
         (request.out / "map.mcap").unlink(missing_ok=True)
     voxels, against = _sample(store, tiles)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.schemas.errors import SourceError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 
 F64 = NDArray[np.float64]
@@ -73,8 +74,20 @@ _MOVABLE[: len(GROUP_OF_CLASS)] = GROUP_OF_CLASS == MOVABLE
 
 
 def keys_of(xyz: F64, size: float) -> NDArray[np.int64]:
-    """Return the voxel of each point ``(N, 3)`` as one number; neighbours in z differ by 1."""
+    """Return the voxel of each point ``(N, 3)`` as one number; neighbours in z differ by 1.
+
+    Raises:
+        SourceError: some lie so far out that their number would be another voxel's.
+    """
     at = np.floor(xyz * (1.0 / size)).astype(np.int64)
+    if len(at):
+        reach = np.maximum(at.max(axis=0), -1 - at.min(axis=0))
+        if reach[:2].max() >= 1 << (_BITS_XY - 1) or reach[2] >= 1 << (_BITS_Z - 1):
+            raise SourceError(
+                f"points {size * reach[:2].max() / 1000:.0f} km away and {size * reach[2]:.0f} m high; voxels of {size:g} m "
+                f"reach {size * (1 << (_BITS_XY - 1)) / 1000:.0f} km and {size * (1 << (_BITS_Z - 1)):.0f} m from the "
+                "first pose: are these poses in metres? else choose a larger --voxel"
+            )
     at[:, :2] += 1 << (_BITS_XY - 1)
     at[:, 2] += 1 << (_BITS_Z - 1)
     return np.asarray((at[:, 0] << (_BITS_XY + _BITS_Z)) | (at[:, 1] << _BITS_Z) | at[:, 2])

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from plyfile import PlyData
+from scipy.spatial import cKDTree
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.encode import encode_scans
@@ -34,6 +36,7 @@ from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.gather import gather
 from salpcc.stages.mapping.poses import read_poses
+from salpcc.stages.mapping.voxel import keys_of
 
 SEQUENCE, SCANS = "07", 10
 CONFIG = MapConfig(voxel=0.2, max_range=40.0, tile=25.0)
@@ -316,3 +319,55 @@ def test_commands_say_at_once_that_there_are_no_classes(
     assert result.returncode == 0, result.stderr
     assert f"{without_classes}: no classes in it" in result.stderr and "--keep-movable" in result.stderr
     assert "movable classes are not known" in result.stdout
+
+
+def test_coordinates_of_a_country_are_the_same_map_moved(
+    request_: Callable[..., MapRequest], poses: Path, archive: Path, tmp_path: Path
+) -> None:
+    """In UTM the map has the same voxels, in every format that can say so, to a millimetre."""
+    away = np.array([455_000.0, 5_428_000.0, 110.0])
+    far = tmp_path / "far" / "poses.txt"
+    far.parent.mkdir()
+    eye = "1 0 0 0 0 1 0 0 0 0 1 0"
+    (far.parent / "calib.txt").write_text(f"P0: {eye}\nTr: {eye}\n")
+    local = read_poses(poses)
+    moved = local.copy()
+    moved[:, :3, 3] += away
+    rows = [" ".join(f"{v:.12g}" for v in pose[:3].ravel()) for pose in moved]
+    far.write_text("\n".join(rows) + "\n")
+    here = make_map(request_(tmp_path / "here", poses=[str(poses)], formats=["laz"]))
+    there = make_map(request_(tmp_path / "there", poses=[str(far)], formats=["laz", "ply"], crs="EPSG:25832"))
+    assert here["origin"] == [0.0, 0.0, 0.0]
+    assert np.abs(np.array(there["origin"]) - away - local[0, :3, 3]).max() < 1e-3
+    assert abs(here["voxels"]["kept"] - there["voxels"]["kept"]) <= 1e-3 * here["voxels"]["kept"]
+
+    def laz(out: Path) -> np.ndarray:
+        parts = [np.array(laspy.read(path).xyz) for path in sorted((out / "tiles").glob("*.laz"))]
+        return np.concatenate(parts)
+
+    def nearest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.asarray(cKDTree(b).query(a)[0])
+
+    base, utm = laz(tmp_path / "here"), laz(tmp_path / "there")
+    off = nearest(utm - away, base)
+    assert np.quantile(off, 0.99) < 0.0015  # LAZ holds millimetres; a few points cross a voxel's border
+    header = laspy.open(next((tmp_path / "there" / "tiles").glob("*.laz"))).header
+    assert "25832" in str(header.parse_crs().to_epsg())
+    ply = [PlyData.read(path) for path in sorted((tmp_path / "there" / "tiles").glob("*.ply"))]
+    told = np.array([float(v) for v in ply[0].comments[0].split()[1:4]])
+    xyz = np.concatenate([np.column_stack([p["vertex"][axis] for axis in "xyz"]) for p in ply]).astype(
+        np.float64
+    )
+    assert np.quantile(nearest(xyz + told, utm), 0.999) < 0.0015
+    placed = np.loadtxt(tmp_path / "there" / "poses.txt").reshape(-1, 3, 4)
+    assert np.abs(placed[:, :, 3] - moved[:, :3, 3]).max() < 1e-3
+
+
+def test_voxels_that_would_have_the_key_of_others_are_refused() -> None:
+    xyz = np.array([[0.0, 0.0, 0.0], [0.1 * 2**21, 0.0, 0.0]])
+    assert len(keys_of(xyz[:1], 0.1)) == 1
+    for axis, far in ((0, 0.1 * 2**21), (1, -0.1 * 2**21 - 0.1), (2, 0.1 * 2**17)):
+        points = np.zeros((2, 3))
+        points[1, axis] = far
+        with pytest.raises(SalpccError, match="choose a larger --voxel"):
+            keys_of(points, 0.1)
