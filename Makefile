@@ -25,7 +25,7 @@ test: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p salpcc.schemas -p salpcc.stages -p salpcc.pipeline
-	$(BIN)/pytest -q
+	$(BIN)/pytest -q -n 2 --dist loadfile
 
 bench: $(VENV)/.tools
 	$(BIN)/python -m salpcc.stages.evaluate.bench $(if $(ROOT),--root $(ROOT))
