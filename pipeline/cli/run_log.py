@@ -21,7 +21,6 @@ from salpcc.pipeline.cli.run_sequences import (
     Out,
     Overwrite,
     Scheduler,
-    Sensor,
     ToStage,
     Weights,
     Workers,
@@ -66,7 +65,12 @@ def log(
     ] = None,
     effort: EffortLevel = "default",
     gop: Gop = 8,
-    sensor: Sensor = "hdl64e",
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help="Shipped sensor model, a JSON file, or auto: the shipped one that the first clouds are of"
+        ),
+    ] = "auto",
     workers: Workers = None,
     scheduler: Scheduler = None,
     from_stage: FromStage = None,
@@ -78,6 +82,8 @@ def log(
     json_: Json = False,
 ) -> None:
     """Encode the point clouds of a log, keep its other topics as they are, measure, report."""
+    from salpcc.pipeline.choose_sensor import AUTO, choose_sensor
+    from salpcc.pipeline.progress import STDERR
     from salpcc.pipeline.run import RunRequest
     from salpcc.schemas.file_kind import kind_of
     from salpcc.stages.evaluate.baselines import names as baseline_names
@@ -88,6 +94,19 @@ def log(
     names = Bag().sequences(file)
     if not names:
         raise UsageError(f"{file}: {kind_of(file)}, no log that is read here. {Bag.hint}")
+    if len(names) > 1:
+        raise UsageError(
+            f"{file}: a folder of logs, and no bag without metadata.yaml; name one of {', '.join(names)}, "
+            f"or let `ros2 bag reindex` make one bag of them"
+        )
+    if sensor == AUTO:
+        sensor, share = choose_sensor(file, names[0], tuple(topic or ()))
+        told = (
+            f"sensor: {sensor}, {share:.0%} of the returns of the first clouds lie on its lattice"
+            if share
+            else f"sensor: no shipped model fits; `salpcc-pipeline calibrate {file} --out sensor.json` may find one"
+        )
+        STDERR.print(told, soft_wrap=True, markup=False, style="dim")
     config = config_of(
         source=Bag.name,
         max_error=max_error,
@@ -101,11 +120,6 @@ def log(
         baselines=baseline_names(baselines),
         device=device,
     )
-    if len(names) > 1:
-        raise UsageError(
-            f"{file}: a folder of logs, and no bag without metadata.yaml; name one of {', '.join(names)}, "
-            f"or let `ros2 bag reindex` make one bag of them"
-        )
     request = RunRequest(
         config=config,
         sequences=names,

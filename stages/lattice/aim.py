@@ -65,6 +65,11 @@ def aim(sensor: SensorModel, points: F64, laser: I64 | None = None) -> tuple[I64
 
 def lies_on(sensor: SensorModel, points: NDArray[np.float32], within: float = _UNROUNDED) -> bool:
     """Tell whether most returns of ``points (N, 3)`` lie so close to the lattice; as computed from it, neither rounded nor moved."""
+    return share_on(sensor, points, within) > 0.5
+
+
+def share_on(sensor: SensorModel, points: NDArray[np.float32], within: float = _UNROUNDED) -> float:
+    """Share of the returns among ``points (N, 3)`` that lie so close to the lattice, from a sample; 0 for too few."""
     sample = points[:: len(points) // _SAMPLE + 1].astype(np.float64)
     off = aim(sensor, sample[np.abs(sample).max(axis=1, initial=0.0) > 0])[3]
-    return len(off) > _SAMPLE // 10 and bool((off < within).mean() > 0.5)
+    return float((off < within).mean()) if len(off) > _SAMPLE // 10 else 0.0

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError
 from salpcc.stages.lattice.drivers import Driver
+from salpcc.stages.lattice.trig import arctan2
 
 SENSORS = Path(__file__).parent / "sensors"
 _VERSION = 2
@@ -81,8 +83,9 @@ class SensorModel:
             "count": self.count,
             "shift": self.shift.tolist(),
         }
-        document |= {name: getattr(self, name).tolist() for name in _PER_LASER}
-        if self.driver is not None:
+        if self.driver is None:
+            document |= {name: getattr(self, name).tolist() for name in _PER_LASER}
+        else:
             document["driver"] = self.driver.to_document()
         if self.bit_identical_share is not None:
             document["bit_identical_share"] = self.bit_identical_share
@@ -100,14 +103,16 @@ class SensorModel:
             document = json.loads(text)
             if document["version"] > _VERSION:
                 raise SensorError(f"sensor model version {document['version']} is newer than {_VERSION}")
+            driver = Driver.from_document(document["driver"]) if document.get("driver") else None
+            numbers = document if driver is None else _numbers_of(driver)
             model = cls(
                 name=str(document["name"]),
                 ticks_per_turn=int(document["ticks_per_turn"]),
                 count=float(document["count"]),
                 shift=np.array([int(value) for value in document["shift"]], np.int64),
-                driver=Driver.from_document(document["driver"]) if document.get("driver") else None,
+                driver=driver,
                 bit_identical_share=_optional(document.get("bit_identical_share")),
-                **{name: np.array([float(v) for v in document[name]], np.float64) for name in _PER_LASER},
+                **{name: np.array([float(v) for v in numbers[name]], np.float64) for name in _PER_LASER},
             )
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise SensorError(f"not a sensor model: {error!r}") from error
@@ -127,6 +132,20 @@ class SensorModel:
         if not sound:
             raise SensorError(f"sensor model {model.name!r} has values out of range")
         return model
+
+
+def with_driver(model: SensorModel, driver: Driver) -> SensorModel:
+    """Return the model whose five numbers per laser are those of a driver; shifts are 0, and to be found again."""
+    return replace(
+        model, ticks_per_turn=driver.steps, shift=np.zeros(len(driver.lasers), np.int64), driver=driver, **_numbers_of(driver)
+    )  # fmt: skip
+
+
+def _numbers_of(driver: Driver) -> dict[str, Any]:
+    """The five numbers per laser that a driver's formula comes to, but for its roundings."""
+    zero = np.zeros(len(driver.lasers))
+    theta = np.array([arctan2(float(sine), float(cosine)) for cosine, sine in driver.lasers[:, :2]])
+    return {"theta": theta, "z0": zero, "h": zero, "phi0": driver.phases, "d0": zero}
 
 
 def _optional(value: object) -> float | None:

@@ -16,7 +16,7 @@ from salpcc.stages.lattice.aim import aim
 from salpcc.stages.lattice.drivers import FORMULAS, SINES, VELODYNE, Driver, hesai, velodyne
 from salpcc.stages.lattice.drivers.sines import cosine32, sine32
 from salpcc.stages.lattice.lattice import driven
-from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel, with_driver
 
 _LEVER = 1e-4  # metres; formulas know no lever arms
 _NEAR = 0.1  # metres; nearer points tell nothing
@@ -69,17 +69,6 @@ def _ranges(reach: F64, unit: float, single: bool) -> F32:
     return np.asarray(
         counts.astype(np.float32) * np.float32(unit) if single else (counts * unit).astype(np.float32)
     )
-
-
-def with_driver(model: SensorModel, driver: Driver) -> SensorModel:
-    """Return the model whose five numbers per laser are those of its driver; shifts are as they were, and to be found again."""
-    cosine, sine = driver.lasers[:, :2].astype(np.float64).T
-    zero = np.zeros(model.n_lasers)
-    phi0 = FORMULAS[driver.formula].phase(driver.lasers[:, 2:])
-    return replace(
-        model, ticks_per_turn=driver.steps, theta=np.round(np.arctan2(sine, cosine), 9), z0=zero, h=zero,
-        phi0=np.round(phi0, 9), d0=zero, shift=np.zeros(model.n_lasers, np.int64), driver=driver,
-    )  # fmt: skip
 
 
 def share_identical(model: SensorModel, points: F32) -> float:

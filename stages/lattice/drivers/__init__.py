@@ -52,6 +52,11 @@ class Driver:
         """Azimuth indices in a turn."""
         return int(FORMULAS[self.formula].STEPS)
 
+    @property
+    def phases(self) -> NDArray[np.float64]:
+        """Azimuth (counter-clockwise from x, radians) of index 0, per laser ``(L,)``."""
+        return np.array([FORMULAS[self.formula].phase(*row) for row in self.lasers[:, 2:]])
+
     @cached_property
     def tables(self) -> Tables:
         """What :func:`driver_point` wants."""

@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.drivers.sines import cosine32, sine32
+from salpcc.stages.lattice.trig import HALF_PI
 
 STEPS = 36_000  # azimuth indices in a turn
 F32 = NDArray[np.float32]
@@ -38,6 +39,6 @@ def row(sine: int, offset: np.float32) -> tuple[np.float32, np.float32]:
     return np.float32(offset), np.float32(0.0)
 
 
-def phase(numbers: F32) -> NDArray[np.float64]:
-    """Azimuth (counter-clockwise from x, radians) of index 0 of lasers, from their numbers ``(L, 2)``."""
-    return np.pi / 2 - numbers[:, 0].astype(np.float64)
+def phase(offset: np.float32, _: np.float32) -> float:
+    """Azimuth (counter-clockwise from x, radians) of index 0 of a laser of these numbers."""
+    return HALF_PI - float(offset)

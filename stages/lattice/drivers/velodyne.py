@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.drivers.sines import cosine32, sine32
+from salpcc.stages.lattice.trig import arctan2
 
 STEPS = 36_000  # azimuth indices in a turn
 F32 = NDArray[np.float32]
@@ -50,7 +51,6 @@ def row(sine: int, offset: np.float32) -> tuple[np.float32, np.float32]:
     return cosine32(sine, offset), sine32(sine, offset)
 
 
-def phase(numbers: F32) -> NDArray[np.float64]:
-    """Azimuth (counter-clockwise from x, radians) of index 0 of lasers, from their numbers ``(L, 2)``."""
-    wide = numbers.astype(np.float64)
-    return np.arctan2(wide[:, 1], wide[:, 0])
+def phase(cos_r: np.float32, sin_r: np.float32) -> float:
+    """Azimuth (counter-clockwise from x, radians) of index 0 of a laser of these numbers."""
+    return float(arctan2(float(sin_r), float(cos_r)))
