@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
-SOURCES := $(shell find schemas stages pipeline -type f -not -path '*/__pycache__/*') pyproject.toml
+SOURCES := $(shell find schemas stages pipeline src/salpcc/__init__.py -type f -not -path '*/__pycache__/*') pyproject.toml
 OUT ?= out/demo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -24,7 +24,7 @@ demo: $(VENV)/.product
 test: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy -p salpcc.schemas -p salpcc.stages -p salpcc.pipeline
+	$(BIN)/mypy -p salpcc
 	$(BIN)/pytest -q -n 2 --dist loadfile
 
 bench: $(VENV)/.tools
@@ -43,7 +43,7 @@ $(VENV)/.product: requirements.lock $(SOURCES)
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 2; }
 	@rm -rf build/lib #  modules that are gone from the sources would be installed from there
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install -q -c requirements.lock .
+	$(BIN)/pip install -q -c requirements.lock ".[run]"
 	@touch $@
 
 # The tools, the other codecs, Open3D.
@@ -53,7 +53,7 @@ $(VENV)/.tools: $(VENV)/.product
 
 lock:
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
-	build/lock/bin/pip install -q ".[dev,baselines,open3d]"
+	build/lock/bin/pip install -q ".[all,dev,open3d]"
 	build/lock/bin/python scripts/lock.py build/lock > requirements.lock.new
 	mv requirements.lock.new requirements.lock
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salpcc.pipeline import Archive, Scan, encode_scans
+from salpcc import Archive, Scan, encode_scans
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from salpcc.pipeline import Archive
+from salpcc import Archive
 
 POINTS = 16384
 

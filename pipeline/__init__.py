@@ -1,27 +1,20 @@
-"""Who runs it: command line, Dask graph, shard store, and the Python door to archives."""
+"""Who runs it: command line, Dask graph, shard store, and the Python door to archives (that of ``salpcc`` itself)."""
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import salpcc
+
 if TYPE_CHECKING:
-    from salpcc.pipeline.archive import Archive
-    from salpcc.pipeline.encode import encode_scans
-    from salpcc.schemas.scan import Scan
+    from salpcc import Archive, Scan, encode_scans
 
 __all__ = ["Archive", "Scan", "encode_scans"]
 
-_HOMES = {
-    "Archive": "salpcc.pipeline.archive",
-    "Scan": "salpcc.schemas.scan",
-    "encode_scans": "salpcc.pipeline.encode",
-}
-
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is asked for: the compiler behind it takes longer to load than most commands run."""
-    if name not in _HOMES:
+    """Look next door, where it is imported when it is asked for."""
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value = getattr(salpcc, name)
     return value
 
 

@@ -2,7 +2,7 @@
 
 ::
 
-    from salpcc.pipeline import Archive
+    from salpcc import Archive
 
     with Archive.open("04.mcap") as archive:
         scan = archive[3]  # decodes the GOP of scan 3, up to it

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,8 +13,9 @@ from distributed import Client, LocalCluster, Worker
 from distributed.core import Status
 from tornado.ioloop import PeriodicCallback
 
-from salpcc.pipeline.store import TOOL
+from salpcc.pipeline.machine import cores
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.version import TOOL
 
 _LOOK_EVERY = 1000.0  # milliseconds
 
@@ -55,7 +55,7 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
             _same_tool(client, scheduler)
             yield client
         return
-    count = workers if workers is not None else len(os.sched_getaffinity(0))
+    count = workers if workers is not None else cores()
     settings: dict[str, object] = {
         "distributed.worker.daemon": True,
         "distributed.nanny.pre-spawn-environ": _WORKER_ENVIRONMENT,

@@ -15,6 +15,7 @@ from salpcc.pipeline.checked import check_name, checked
 from salpcc.pipeline.verify import Verdict, compare
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, UsageError
+from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.stages.coding import code
@@ -76,7 +77,12 @@ def resolve(config: RunConfig) -> RunConfig:
 
     Raises:
         SalpccError: one of them is not there.
+        UsageError: what the configuration asks for needs an extra that is not installed.
     """
+    if config.uses_network:
+        require("segment", "leaving out what moves")
+    if config.profile == "paper":
+        require("paper", "the profile paper")
     known = {"sensor_digest": load_sensor(config.sensor).digest}
     for field in ("sensor", "weights"):  # a file lies where this process says, whoever reads it
         if (file := Path(getattr(config, field))).suffix in (".json", ".safetensors"):

@@ -12,6 +12,7 @@ from salpcc.pipeline.laz_export import to_laz
 from salpcc.pipeline.log_export import to_bag, to_mcap
 from salpcc.pipeline.ply import write_ply
 from salpcc.pipeline.tell import Tell, in_silence
+from salpcc.schemas.extras import require
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import free_name, scan_columns
 
@@ -28,7 +29,11 @@ def to_ply(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
     """Write ``out/SEQ/NAME.ply`` (binary): every field under its own name and with its type.
 
     The class of each point comes beside them as ``class``, or as ``class_1`` where a field has that name.
+
+    Raises:
+        UsageError: the extra ``map`` is missing.
     """
+    require("map", "--to ply")
     for scan in scans:
         path = out / archive.sequence / f"{scan.name}.ply"
         columns = scan_columns(scan)

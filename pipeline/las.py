@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from laspy.vlrs.vlr import VLR
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import scan_columns
+
+if TYPE_CHECKING:
+    from laspy.vlrs.vlr import VLR
 
 FULL = 65535  # the largest intensity that LAS holds, and the factor of fractions of 1
 _LOOKED_AT = 4  # scans of a topic by which its unit is told
@@ -60,6 +62,8 @@ def las_intensity(values: NDArray[np.generic], factor: int) -> tuple[NDArray[np.
 
 def text_record(*lines: str) -> VLR:
     """A text area description, the record in which LAS keeps what its header has no place for."""
+    from laspy.vlrs.vlr import VLR
+
     return VLR("LASF_Spec", 3, "Text area", "\n".join(lines).encode())
 
 

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import laspy
 import numpy as np
-from laspy.header import GpsTimeType
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
@@ -24,10 +22,14 @@ from salpcc.pipeline.las import (
     topic_of,
 )
 from salpcc.pipeline.tell import Tell, in_silence
+from salpcc.schemas.extras import require
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import ASPRS_OF_CLASS, CLASSES
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import free_name, scan_columns
+
+if TYPE_CHECKING:
+    import laspy
 
 SCALE = 0.0001  # metres; LAZ holds integers, so it rounds
 REACH = SCALE * 2**30
@@ -47,8 +49,9 @@ def to_laz(
     without a place (NaN, or far from all others) are left out.
 
     Raises:
-        UsageError: ``crs`` is no coordinate system.
+        UsageError: ``crs`` is no coordinate system, or the extra ``map`` is missing.
     """
+    require("map", "--to laz")
     system = coordinate_system(crs) if crs else None
     factors = intensity_factors(archive)
     told: set[str] = set()
@@ -82,6 +85,9 @@ class _File:
 
 
 def _file(archive: Archive, scan: Scan, factor: int, system: Any) -> _File:
+    import laspy
+    from laspy.header import GpsTimeType
+
     columns = scan_columns(scan)
     xyz = np.column_stack([columns.pop(axis).astype(np.float64) for axis in "xyz"])
     header = laspy.LasHeader(point_format=6, version="1.4")

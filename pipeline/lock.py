@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import socket
@@ -13,6 +12,8 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 from uuid import uuid4
+
+from filelock import FileLock, Timeout
 
 from salpcc.schemas.errors import LockedError, UsageError
 from salpcc.schemas.files import atomic, create, is_url, why
@@ -30,30 +31,36 @@ def locked(out: Path) -> Iterator[None]:
         LockedError: another run holds it.
         UsageError: it cannot be made.
     """
-    with _leased(out) if is_url(out) else _flocked(out):
+    with _leased(out) if is_url(out) else _locked_file(out):
         yield
 
 
 @contextmanager
-def _flocked(out: Path) -> Iterator[None]:
+def _locked_file(out: Path) -> Iterator[None]:
+    path = out / ".lock"
+    lock = FileLock(path)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        handle = open(out / ".lock", "a+")  # noqa: SIM115 (closed below; a lock lives as long as its file)
-    except OSError as error:
-        raise UsageError(f"{out}: cannot write there ({error.strerror})") from error
-    with handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            handle.seek(0)
-            holder = handle.read().strip() or "unknown"
-            raise LockedError(
-                f"{out}: another run (process {holder}) is using this output folder; wait for it or choose --out"
-            ) from error
-        handle.truncate(0)
-        handle.write(str(os.getpid()))
-        handle.flush()
+        lock.acquire(blocking=False)
+    except OSError as error:  # a Timeout is one
+        if not isinstance(error, Timeout):
+            raise UsageError(f"{out}: cannot write there ({error.strerror})") from error
+        raise LockedError(
+            f"{out}: another run (process {_who(path)}) is using this output folder; wait for it or choose --out"
+        ) from error
+    try:
+        with suppress(OSError):  # Windows lets nobody write into it
+            path.write_text(str(os.getpid()))
         yield
+    finally:
+        lock.release()
+
+
+def _who(path: Path) -> str:
+    try:
+        return path.read_text().strip() or "unknown"
+    except OSError:
+        return "unknown"
 
 
 @contextmanager
@@ -131,6 +138,8 @@ def _died_here(holder: dict[str, Any]) -> bool:
         return False
     if holder.get("process") == os.getpid():
         return holder.get("token") not in _held
+    if os.name == "nt":  # there os.kill ends a process, whatever the signal
+        return False
     try:
         os.kill(int(holder["process"]), 0)
     except OSError as error:

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement
 
 from salpcc.schemas.files import atomic
 
 
 def write_ply(columns: dict[str, NDArray[Any]], path: Path, comments: Sequence[str] = ()) -> None:
     """Write vertices of the named properties ``(N,)``, each with its own type, little endian."""
+    from plyfile import PlyData, PlyElement
+
     length = len(next(iter(columns.values())))
     rows = np.empty(length, [(name, values.dtype) for name, values in columns.items()])
     for name, values in columns.items():

@@ -18,10 +18,11 @@ from salpcc.pipeline.lock import locked
 from salpcc.pipeline.plan import SequencePlan, plan_run
 from salpcc.pipeline.progress import STDERR, Report, Silent, bar
 from salpcc.pipeline.sequence import archive_path
-from salpcc.pipeline.store import TOOL, ShardStore
+from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.config import UNBOUNDED, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic, is_url
+from salpcc.schemas.version import TOOL
 from salpcc.schemas.work import ScanError
 from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report import write as report

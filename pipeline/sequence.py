@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +16,7 @@ from salpcc.pipeline.digests import digest_scan
 from salpcc.pipeline.encode import payloads_of
 from salpcc.pipeline.held import held_scans
 from salpcc.pipeline.logs import passing_log
+from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.records import write_record
 from salpcc.pipeline.store import ShardStore
@@ -178,7 +178,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
         if unreachable(error):
             raise
         return lost("evaluate", result, gop, error)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = peak_mb()
     store.write(ref, table, {"stage": "evaluate", "stage_version": evaluate.VERSION, "peak_mb": peak})
     return result
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +17,8 @@ from salpcc.schemas.checksum import content_crc
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.files import atomic, reading, remove_tree, why
 from salpcc.schemas.shards import facts_of, stamp
+from salpcc.schemas.version import TOOL
 from salpcc.schemas.work import ShardRef
-
-try:
-    TOOL = f"salpcc-pipeline {version('salpcc-pipeline')}"
-except PackageNotFoundError:  # run from a folder that is not installed
-    TOOL = "salpcc-pipeline (not installed)"
 
 
 class ShardStore:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import time
 import traceback
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import pyarrow as pa
 
 from salpcc.pipeline.digests import digest_scan
 from salpcc.pipeline.isolate import only, run_isolated
+from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ShardError
@@ -121,7 +121,7 @@ def _work(
 
         table, times = _timed(stage, run) if scans else (STAGES[stage].schema.empty_table(), (0.0, 0.0))
         errors += [vars(_error(stage, gop, name, error)) for name, error in guilty.items()]
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = peak_mb()
     return table, {
         "errors": errors,
         "times": [*facts["times"], [stage, scans, *times]],

@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 from uuid import uuid4
 
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.extras import require
 
 # A put appears there whole, so it needs no other name; listings must not be kept, for other machines write, too.
 _OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss"})
@@ -54,6 +55,7 @@ def location(name: str | Path) -> Path:
         return Path(name.partition("://")[2])
     if urlsplit(name).password is not None:
         raise UsageError(f"{scheme}://…: a URL with a password ends up in messages; use the environment")
+    require("s3", name)
     from upath import UPath
 
     make: Any = UPath

@@ -87,3 +87,13 @@ def test_what_codes_knows_its_libraries() -> None:
             names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
             for library in {n.partition(".")[0] for n in names} & allowed.keys():
                 assert name.startswith(allowed[library]), f"{name} imports {library}"
+
+
+def test_what_only_unix_has_is_imported_where_it_is_used() -> None:
+    """So every module loads on Windows, too."""
+    unix = {"fcntl", "grp", "pwd", "resource", "termios"}
+    for name, path in MODULES.items():
+        for node in ast.parse(path.read_text()).body:
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not unix & set(names), f"{name} imports {unix & set(names)}"

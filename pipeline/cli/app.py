@@ -53,7 +53,7 @@ cli_data.register(app)
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from salpcc.pipeline.store import TOOL
+        from salpcc.schemas.version import TOOL
 
         typer.echo(TOOL)
         raise typer.Exit

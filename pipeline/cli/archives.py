@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from salpcc.pipeline.cli.run_sequences import PLACE, parse_frames
+from salpcc.pipeline.machine import cores
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location
@@ -63,7 +63,7 @@ def decode(
     if crs and to != "laz":
         raise UsageError(f"--crs: --to {to} has no place for it; --to laz has")
     export: Export = partial(to_laz, crs=crs) if crs else EXPORTS[to]
-    with Archive.open(archive, threads or _cores()) as opened:
+    with Archive.open(archive, threads or cores()) as opened:
         count = 0
         for path in export(
             opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True, markup=False)
@@ -75,11 +75,6 @@ def decode(
             there = f"it holds {names[0]} to {names[-1]}" if names else "it holds none"
             raise UsageError(f"--frames {frames}: no scan of {archive} lies there; {there}")
         typer.echo(f"{count} file{'s' if count > 1 else ''} in {folder}")
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _selected(archive: Archive, frames: str | None) -> Iterator[Scan]:
@@ -106,7 +101,7 @@ def verify(
     """Check every checksum and decode everything; with --against, compare with the source."""
     from salpcc.pipeline.verify import verify as verify_archive
 
-    verdict = verify_archive(archive, against, threads or _cores())
+    verdict = verify_archive(archive, against, threads or cores())
     if json_:
         typer.echo(json.dumps(verdict.as_dict(), indent=1))
     else:

@@ -9,6 +9,7 @@ import typer
 
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.extras import require
 from salpcc.schemas.files import atomic, location
 from salpcc.schemas.manifest import expand_sequences
 
@@ -32,6 +33,7 @@ def simulate(
     scans: Annotated[int, typer.Option(min=1, help="Scans per sequence")] = 16,
 ) -> None:
     """Simulate labelled drives in SemanticKITTI layout."""
+    require("run", "simulate")
     from salpcc.stages.ingest.sources.simulated import Simulated
 
     for sequence in expand_sequences(sequences):
@@ -75,6 +77,7 @@ def report(
     ] = None,
 ) -> None:
     """Rebuild the tables, plots and page of a run from what it measured."""
+    require("run", "report")
     from salpcc.stages.evaluate.report.write import build
 
     for folder in (out, *(beside or [])):

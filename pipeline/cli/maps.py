@@ -17,6 +17,7 @@ from rich.table import Table
 
 from salpcc.pipeline.cli.run_sequences import Scheduler, Workers
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.extras import require
 from salpcc.stages.mapping.open3d_library import load_open3d
 
 Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE", help="Archives of one drive, in order")]
@@ -74,6 +75,7 @@ def map_(
     json_: Json = False,
 ) -> None:
     """Build a clean map from decoded scans."""
+    require("map", "map")
     from salpcc.pipeline.mapping.make_map import make_map
     from salpcc.pipeline.mapping.map_export import FORMATS
     from salpcc.pipeline.mapping.map_request import MapRequest
@@ -145,6 +147,7 @@ def localise(
     json_: Json = False,
 ) -> None:
     """Register consecutive decoded scans by ICP and measure the error, with movable things and without."""
+    require("map", "localise")
     from salpcc.pipeline.mapping.localise import LocaliseRequest
     from salpcc.pipeline.mapping.localise import localise as run
     from salpcc.stages.evaluate.baselines import names as baseline_names

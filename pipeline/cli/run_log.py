@@ -30,6 +30,7 @@ from salpcc.pipeline.cli.run_sequences import (
     stages_of,
 )
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
 from salpcc.schemas.work import STAGES
 
@@ -82,6 +83,7 @@ def log(
     json_: Json = False,
 ) -> None:
     """Encode the point clouds of a log, keep its other topics as they are, measure, report."""
+    require("run", "run")
     from salpcc.pipeline.choose_sensor import AUTO, choose_sensor
     from salpcc.pipeline.progress import STDERR
     from salpcc.pipeline.run import RunRequest

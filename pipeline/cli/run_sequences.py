@@ -19,6 +19,7 @@ from rich.table import Table
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.config import UNBOUNDED, Coder, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
 from salpcc.schemas.manifest import Manifest, expand_sequences, load_manifest
 from salpcc.schemas.work import STAGES
@@ -109,6 +110,7 @@ def sequences(
     json_: Json = False,
 ) -> None:
     """Encode sequences of scans, decode them again, measure, report."""
+    require("run", "run")
     from salpcc.pipeline.run import RunRequest
     from salpcc.stages.evaluate.baselines import names as baseline_names
     from salpcc.stages.ingest.sources import SOURCES

@@ -10,6 +10,7 @@ import typer
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.config import Effort
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.extras import require
 from salpcc.schemas.manifest import expand_sequences
 
 app = typer.Typer(help="Train a network on recorded scans.", no_args_is_help=True)
@@ -28,6 +29,8 @@ def coder(
     sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
 ) -> None:
     """Train the coder's networks (range and intensity), or count its tables."""
+    if effort != "fast":
+        require("segment", "train coder")
     from salpcc.stages.lattice.sensor_model import load_sensor
     from salpcc.stages.predict.learned.train import read_sweeps, train_coder
     from salpcc.stages.predict.static.train import train_tables
@@ -76,6 +79,7 @@ def segment(
 
     The defaults are the recipe of the shipped weights: three phases, simulated vehicles pasted in.
     """
+    require("segment", "train segment")
     from salpcc.stages.segment.checkpoint import load_weights
     from salpcc.stages.segment.network import WIDTHS
     from salpcc.stages.segment.training.donors import simulated_donors
@@ -125,6 +129,7 @@ def predict(
 
     Goes on from where --out stopped.
     """
+    require("paper", "train predict")
     from salpcc.stages.predict.paper.st_lstm.dataset import read_clips
     from salpcc.stages.predict.paper.st_lstm.train import Recipe, train_predictor
 

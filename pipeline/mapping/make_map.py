@@ -22,8 +22,9 @@ from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.mapping.map_tiles import TileResult
 from salpcc.pipeline.mapping.map_write import write_whole
 from salpcc.pipeline.progress import Report, Silent, bar
-from salpcc.pipeline.store import TOOL, ShardStore
+from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.files import atomic
+from salpcc.schemas.version import TOOL
 from salpcc.schemas.work import digest_of
 from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.residual_code.archive.reader import ArchiveReader

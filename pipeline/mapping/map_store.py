@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import resource
 import zlib
 from collections.abc import Sequence
 from typing import Any
@@ -152,8 +151,3 @@ def batches_to_truth(batches: Sequence[pa.RecordBatch]) -> Truth:
 def whole_metres(place: F64) -> F64:
     """Return a corner for a shard's places: the whole metres below ``place`` ``(3,)``."""
     return np.array([math.floor(value) for value in place], np.float64)
-
-
-def peak_mb() -> float:
-    """Return the resident memory of this process at most, in MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_plan import Group
 from salpcc.pipeline.mapping.map_store import (
     ENTRIES,
     batch_to_entries,
     entries_to_batch,
-    peak_mb,
     views_to_table,
     whole_metres,
     write_blocks,

@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_export import WRITERS
 from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.mapping.map_store import (
     TILE,
     batch_to_entries,
     entries_to_batch,
-    peak_mb,
     read_blocks,
     table_to_views,
 )

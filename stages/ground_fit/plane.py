@@ -38,6 +38,23 @@ def _cost_and_normal_equations(
     return cost, h, g
 
 
+@njit(cache=True, error_model="numpy")
+def _solve(h: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve ``h x = g`` for a positive definite ``(3, 3)`` by elimination; not finite where it is singular.
+
+    LAPACK's answer depends on the machine, and numba takes SciPy's.
+    """
+    l10, l20 = h[1, 0] / h[0, 0], h[2, 0] / h[0, 0]
+    u11, u12 = h[1, 1] - l10 * h[0, 1], h[1, 2] - l10 * h[0, 2]
+    l21 = (h[2, 1] - l20 * h[0, 1]) / u11
+    y1 = g[1] - l10 * g[0]
+    x = np.zeros(3)
+    x[2] = (g[2] - l20 * g[0] - l21 * y1) / (h[2, 2] - l20 * h[0, 2] - l21 * u12)
+    x[1] = (y1 - u12 * x[2]) / u11
+    x[0] = (g[0] - h[0, 1] * x[1] - h[0, 2] * x[2]) / h[0, 0]
+    return x
+
+
 @njit(cache=True)
 def fit_plane(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``(a, b, c)`` of the plane that minimises eq. (10) over points ``(N, 3)``, N at least 3.
@@ -52,7 +69,7 @@ def fit_plane(points: NDArray[np.float64]) -> NDArray[np.float64]:
         damped = h.copy()
         for u in range(3):
             damped[u, u] = damped[u, u] * (1.0 + damping) + 1e-12
-        step = np.linalg.solve(damped, g)
+        step = _solve(damped, g)
         trial = p - step
         trial_cost, trial_h, trial_g = _cost_and_normal_equations(points, trial)
         if trial_cost <= cost:

@@ -16,7 +16,7 @@ from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import middle_counts
 
-VERSION = 2
+VERSION = 3
 _MIN_POINTS = 30
 _ENOUGH = 1000  # points beyond these do not move a plane
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
+from salpcc.schemas.extras import require
 from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
@@ -36,11 +37,15 @@ def decode_any(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep
 
     Raises:
         ArchiveError: a payload is damaged.
+        UsageError: they are of the profile ``paper``, and its extra is not installed.
     """
     coming = iter(payloads)
     first = next(coming, b"")
     given = chain([first], coming) if first else coming
-    return decode_grids(given) if first[:1] == bytes([GRID_CODEC]) else decode_gop(given, sensor)
+    if first[:1] != bytes([GRID_CODEC]):
+        return decode_gop(given, sensor)
+    require("paper", "an archive of the profile paper")
+    return decode_grids(given)
 
 
 def scan_of(sweep: Sweep | GridSweep, sensor: SensorModel) -> Scan:

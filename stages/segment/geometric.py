@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter
 
 from salpcc.schemas.labels import CLASSES
 
@@ -58,6 +57,8 @@ def _near_floor(points: NDArray[np.float32], floor: NDArray[np.float64]) -> NDAr
 
 def split_ground(points: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return a class per point ``(N, 3)``: ground or other (unlabelled)."""
+    from scipy.ndimage import minimum_filter
+
     lowest = _lowest(points)
     # A cell whose lowest return stands above its neighbourhood's holds no ground.
     around = minimum_filter(lowest.reshape(_SIDE, _SIDE), _AROUND, mode="nearest").ravel()

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from salpcc.pipeline.export import EXPORTS
+from salpcc.schemas.version import TOOL
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.mapping.cleaners import CLEANERS
 
@@ -48,6 +49,7 @@ def loaded(code: str) -> tuple[str, set[str]]:
 @pytest.mark.parametrize(
     "code",
     [
+        "import salpcc; salpcc.__version__",
         "import salpcc.pipeline",
         HELP.format(arguments=["--help"]),
         HELP.format(arguments=["run", "sequences", "--help"]),
@@ -67,6 +69,17 @@ def test_the_doors_open_when_they_are_used() -> None:
     assert "numba" in names
     with pytest.raises(ImportError, match="Archives"):
         from salpcc.pipeline import Archives  # noqa: F401
+
+
+def test_the_package_itself_is_the_door() -> None:
+    import salpcc
+    import salpcc.pipeline
+
+    for name in salpcc.pipeline.__all__:
+        assert getattr(salpcc, name) is getattr(salpcc.pipeline, name) and name in dir(salpcc)
+    assert salpcc.__version__ and salpcc.__version__ in TOOL
+    with pytest.raises(AttributeError, match="'salpcc' has no attribute 'Archives'"):
+        _ = salpcc.Archives
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import resource
+import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -117,5 +117,5 @@ def _timed(baseline: Baseline, work: Callable[[], _T]) -> tuple[_T, float]:
 
 def _children() -> float:
     """CPU seconds of the child processes that have ended."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
+    spent = os.times()
+    return spent.children_user + spent.children_system

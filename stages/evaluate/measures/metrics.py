@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 SOURCE_BYTES_PER_POINT = 16  # float32 x, y, z, intensity
 
@@ -79,6 +78,8 @@ def symmetric_distance(source: NDArray[np.float32], decoded: NDArray[np.float32]
 
     Points that are not finite are left out. NaN where one side has no finite point, 0 where neither has.
     """
+    from scipy.spatial import cKDTree
+
     a = source[np.isfinite(source).all(axis=1)].astype(np.float64)
     b = decoded[np.isfinite(decoded).all(axis=1)].astype(np.float64)
     if not len(a) or not len(b):

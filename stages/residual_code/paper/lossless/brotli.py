@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import brotli
-
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
 
@@ -12,11 +10,15 @@ _TITLE, _QUALITY = "Brotli", 3
 
 def encode(plain: bytes) -> bytes:
     """Compress; see the contract."""
+    import brotli
+
     return bytes(brotli.compress(plain, quality=_QUALITY))
 
 
 def decode(data: bytes, size: int) -> bytes:
     """Expand; inverse of :func:`encode`."""
+    import brotli
+
     decoder = brotli.Decompressor()
     try:
         plain = bytes(decoder.process(data, output_buffer_limit=size + 1))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import zlib
 
-import inflate64
-
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
 
@@ -18,6 +16,8 @@ def encode(plain: bytes) -> bytes:
     The library writes a wrong stream now and then (once in our measurements) and says nothing: what does not come
     back is written as stored blocks, which Deflate and Deflate64 share.
     """
+    import inflate64
+
     coder = inflate64.Deflater()
     data = bytes(coder.deflate(plain)) + bytes(coder.flush())
     try:
@@ -31,6 +31,8 @@ def encode(plain: bytes) -> bytes:
 
 def decode(data: bytes, size: int) -> bytes:
     """Expand, a little at a time: the library has no bound of its own. Inverse of :func:`encode`."""
+    import inflate64
+
     decoder = inflate64.Inflater()
     parts, length = [], 0
     try:

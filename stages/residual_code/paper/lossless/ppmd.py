@@ -10,8 +10,6 @@ from __future__ import annotations
 import struct
 import zlib
 
-import pyppmd
-
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
 
@@ -26,6 +24,8 @@ def encode(plain: bytes) -> bytes:
     Raises:
         ArchiveError: the library's stream does not decode to what went in.
     """
+    import pyppmd
+
     if not plain:
         return b""
     coder = pyppmd.Ppmd7Encoder(_ORDER, _MEMORY)
@@ -51,6 +51,8 @@ def _crc(size: int, stream: bytes) -> int:
 
 
 def _expand(stream: bytes, size: int) -> bytes:
+    import pyppmd
+
     try:
         return bytes(pyppmd.Ppmd7Decoder(_ORDER, _MEMORY).decode(stream, size))
     except (ValueError, EOFError, RuntimeError) as error:
