@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from salpcc.stages.evaluate.measures.aggregate import ENCODE_STAGES, STREAMS
@@ -18,18 +18,7 @@ Report = Mapping[str, Any]
 
 def all_tables(report: Report) -> list[Table]:
     """Every table that the report has figures for."""
-    tables = [sequence_table(report), bytes_table(report)]
-    if report["total"]["points_dropped_movable"]:
-        tables.append(savings_table(report))
-    tables += [time_table(report), *segmentation_tables(report)]
-    if report["baselines"]:
-        tables.append(baseline_table(report))
-        if report["bd_rate_percent"]:
-            tables.append(bd_rate_table(report))
-    tables += [*paper_tables(report), *downstream_tables(report)]
-    if report["failures"]:
-        tables.append(failure_table(report))
-    return tables
+    return [table for make in TABLES for table in make(report)]
 
 
 def sequence_table(report: Report) -> Table:
@@ -142,3 +131,17 @@ def failure_table(report: Report) -> Table:
     keys = ("sequence", "name", "stage", "file", "message")
     columns = tuple(Column(key, "scan" if key == "name" else key) for key in keys)
     return Table("failures", "What failed", columns, tuple(report["failures"]))
+
+
+# In the order of the page; each makes its tables of what is in the report, none where that is not there.
+TABLES: tuple[Callable[[Report], Sequence[Table]], ...] = (
+    lambda report: [sequence_table(report), bytes_table(report)],
+    lambda report: [savings_table(report)] if report["total"]["points_dropped_movable"] else [],
+    lambda report: [time_table(report)],
+    segmentation_tables,
+    lambda report: [baseline_table(report)] if report["baselines"] else [],
+    lambda report: [bd_rate_table(report)] if report["baselines"] and report["bd_rate_percent"] else [],
+    paper_tables,
+    downstream_tables,
+    lambda report: [failure_table(report)] if report["failures"] else [],
+)
