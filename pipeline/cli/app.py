@@ -38,7 +38,6 @@ app = typer.Typer(
     name="salpcc-pipeline",
     help="Recorded LiDAR scans in, compact bit-exact archives and a report out; and back again.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -62,7 +61,9 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _root(
     context: typer.Context,
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True),
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version and exit."
+    ),
 ) -> None:
     """Recorded LiDAR scans in, compact bit-exact archives and a report out; and back again."""
     for argument in sys.argv if context.invoked_subcommand in _ON_THIS_MACHINE else ():

@@ -25,12 +25,15 @@ if TYPE_CHECKING:
 
 Path_ = Annotated[
     Path,
-    typer.Argument(parser=location, metavar="ARCHIVE", help="An archive, OUT/archives/SEQ.mcap, or its URL"),
+    typer.Argument(
+        parser=location, metavar="ARCHIVE", help="An archive, such as OUT/archives/04.mcap, or its URL."
+    ),
 ]
 Threads = Annotated[
-    int | None, typer.Option(min=1, help="Groups of scans to decode at once; by default one per core")
+    int | None,
+    typer.Option(min=1, metavar="N", help="Groups of scans to decode at once. [default: one per core]"),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -45,11 +48,12 @@ def register(app: typer.Typer) -> None:
 
 def decode(
     archive: Path_,
-    to: Annotated[str, typer.Option(help="kitti | mcap | bag | ply | laz")],
-    out: Annotated[Path, typer.Option(parser=location, metavar=PLACE, help="Where the scans are written")],
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
+    to: Annotated[str, typer.Option(metavar="FORMAT", help="What to write: kitti, mcap, bag, ply or laz.")],
+    out: Annotated[Path, typer.Option(parser=location, metavar=PLACE, help="The files are written here.")],
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Take frames A to B - 1 only.")] = None,
     crs: Annotated[
-        str | None, typer.Option(help="Coordinate system to state in LAZ, such as EPSG:25832")
+        str | None,
+        typer.Option(metavar="NAME", help="The coordinate system to state in LAZ, such as EPSG:25832."),
     ] = None,
     threads: Threads = None,
 ) -> None:
@@ -93,7 +97,11 @@ def verify(
     archive: Path_,
     against: Annotated[
         Path | None,
-        typer.Option(parser=location, metavar=PLACE, help="Data root; compares every point with its source"),
+        typer.Option(
+            parser=location,
+            metavar=PLACE,
+            help="Compare every point with its source: the root of the data, or the log.",
+        ),
     ] = None,
     json_: Json = False,
     threads: Threads = None,
@@ -129,10 +137,11 @@ def recover(
     archive: Path_,
     out: Annotated[
         Path,
-        typer.Option(parser=location, metavar="FILE|URL", help="The new archive; nothing is overwritten"),
+        typer.Option(parser=location, metavar="FILE|URL", help="The new archive; nothing is overwritten."),
     ],
     sensor: Annotated[
-        str | None, typer.Option(help="Sensor model, where the one in the archive is gone")
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="The sensor's model, where the one in the archive is gone."),
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -156,7 +165,9 @@ def recover(
 def inspect(
     path: Annotated[
         Path,
-        typer.Argument(parser=location, metavar="ARCHIVE|SHARD", help="A .mcap archive or an .arrow shard"),
+        typer.Argument(
+            parser=location, metavar="ARCHIVE|SHARD", help="An archive (.mcap) or a shard (.arrow)."
+        ),
     ],
     json_: Json = False,
 ) -> None:

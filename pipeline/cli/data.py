@@ -28,9 +28,13 @@ def register(app: typer.Typer) -> None:
 
 
 def simulate(
-    out: Annotated[Path, typer.Option(help="Root that gets sequences/SEQ/…")],
-    sequences: Annotated[str, typer.Option(help="Names, as in run sequences; they seed the street")] = "00",
-    scans: Annotated[int, typer.Option(min=1, help="Scans per sequence")] = 16,
+    out: Annotated[
+        Path, typer.Option(help="The root of the new data; it gets sequences/NAME/velodyne and so on.")
+    ],
+    sequences: Annotated[
+        str, typer.Option(help="Names, written as in run sequences; a name seeds its street.")
+    ] = "00",
+    scans: Annotated[int, typer.Option(min=1, help="Scans of each sequence.")] = 16,
 ) -> None:
     """Simulate labelled drives in SemanticKITTI layout."""
     require("run", "simulate")
@@ -49,12 +53,14 @@ def calibrate(
         Path,
         typer.Argument(
             metavar="LOG",
-            help="A folder of .bin or .pcd.bin scans or one above it, a scan, an MCAP file, a bag",
+            help="A folder of .bin or .pcd.bin scans or one above it, a scan, an MCAP file, or a bag.",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Where the sensor model is written")],
-    topic: Annotated[str | None, typer.Option(help="Point clouds to use, of a log that has several")] = None,
-    scans: Annotated[int, typer.Option(min=1, help="At most this many scans, evenly spread")] = 40,
+    out: Annotated[Path, typer.Option(help="The sensor model is written here.")],
+    topic: Annotated[
+        str | None, typer.Option(help="Use the point clouds of this topic, where the log has several.")
+    ] = None,
+    scans: Annotated[int, typer.Option(min=1, help="Use at most so many scans, evenly spread.")] = 40,
 ) -> None:
     """Find the lasers, steps and lever arms of any spinning LiDAR from its scans alone, and write them as a sensor model."""
     from salpcc.pipeline.calibration import calibrate_log, summary
@@ -70,10 +76,10 @@ def calibrate(
 
 
 def report(
-    out: Annotated[Path, typer.Argument(parser=location, metavar="OUT", help="Output folder of a run")],
+    out: Annotated[Path, typer.Argument(parser=location, metavar="OUT", help="The output folder of a run.")],
     beside: Annotated[
         list[Path] | None,
-        typer.Option(parser=location, metavar="DIR|URL", help="Show this run or map, too; may be repeated"),
+        typer.Option(parser=location, metavar="DIR|URL", help="Show this run or map, too; may be repeated."),
     ] = None,
 ) -> None:
     """Rebuild the tables, plots and page of a run from what it measured."""

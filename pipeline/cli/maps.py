@@ -20,8 +20,10 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.stages.mapping.open3d_library import load_open3d
 
-Archives = Annotated[list[Path], typer.Argument(metavar="ARCHIVE", help="Archives of one drive, in order")]
-Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout")]
+Archives = Annotated[
+    list[Path], typer.Argument(metavar="ARCHIVE", help="The archives of one drive, in order.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -37,41 +39,58 @@ def register(app: typer.Typer) -> None:
 
 def map_(
     archives: Archives,
-    out: Annotated[Path, typer.Option(help="Tiles, pictures and map.json go here")],
+    out: Annotated[Path, typer.Option(help="Tiles, pictures and map.json go here.")],
     poses: Annotated[
         list[str] | None,
         typer.Option(
             metavar="FILE|odometry",
-            help="KITTI poses.txt with calib.txt beside it, one for each archive, or registration [default: odometry]",
+            help="Where the scans were: a KITTI poses.txt with calib.txt beside it for each archive, or odometry, which "
+            "registers them. [default: odometry]",
         ),
     ] = None,
-    voxel: Annotated[float, typer.Option(help="Metres; points in one voxel are fused")] = 0.1,
-    max_range: Annotated[float, typer.Option(help="Metres; farther points are left out")] = 80.0,
+    voxel: Annotated[
+        float, typer.Option(metavar="METRES", help="Points in one voxel of this size are fused.")
+    ] = 0.1,
+    max_range: Annotated[
+        float, typer.Option(metavar="METRES", help="Points farther than this from the sensor are left out.")
+    ] = 80.0,
     keep_movable: Annotated[
-        bool, typer.Option("--keep-movable", help="Keep what the classes call movable, such as parked cars")
+        bool, typer.Option("--keep-movable", help="Keep what can move by its class, such as parked cars.")
     ] = False,
     carve: Annotated[
-        bool, typer.Option("--carve/--no-carve", help="Take out what other scans look through")
+        bool, typer.Option("--carve/--no-carve", help="Take out what other scans look through.")
     ] = True,
     fill_ground: Annotated[
         bool,
-        typer.Option("--fill-ground", help="Close small holes in the ground by a plane, marked synthetic"),
+        typer.Option(
+            "--fill-ground", help="Close small holes in the ground by a plane; its points are marked."
+        ),
     ] = False,
-    tile: Annotated[float, typer.Option(help="Metres; memory is bounded by a tile")] = 50.0,
+    tile: Annotated[
+        float, typer.Option(metavar="METRES", help="The side of a tile; a tile is held in memory.")
+    ] = 50.0,
     formats: Annotated[
-        str, typer.Option(help="Of laz, ply, pcd (tiles) and mcap (whole)")
+        str,
+        typer.Option(
+            metavar="NAME,NAME", help="What to write: tiles as laz, ply, pcd, and the whole as mcap."
+        ),
     ] = "laz,ply,pcd,mcap",
     crs: Annotated[
-        str | None, typer.Option(metavar="EPSG:…", help="Coordinate system of the poses, written into LAZ")
+        str | None,
+        typer.Option(metavar="EPSG:…", help="The coordinate system of the poses; it is written into LAZ."),
     ] = None,
     against: Annotated[
-        Path | None, typer.Option(help="Data root with labels; scores the map by them")
+        Path | None, typer.Option(help="Score the map by the labels of the data that lie here.")
     ] = None,
-    rivals: Annotated[str, typer.Option(help="Public cleaners to score beside: dufomap")] = "none",
+    rivals: Annotated[
+        str, typer.Option(metavar="NAME", help="Score a public cleaner of maps, too: dufomap.")
+    ] = "none",
     workers: Workers = None,
     scheduler: Scheduler = None,
-    keep_shards: Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")] = False,
-    view: Annotated[bool, typer.Option("--view", help="Open the map in Rerun or Open3D")] = False,
+    keep_shards: Annotated[
+        bool, typer.Option("--keep-shards", help="Keep what the steps hand to each other.")
+    ] = False,
+    view: Annotated[bool, typer.Option("--view", help="Open the map in Rerun or Open3D.")] = False,
     json_: Json = False,
 ) -> None:
     """Build a clean map from decoded scans."""
@@ -135,13 +154,19 @@ def map_(
 
 def localise(
     archives: Annotated[
-        list[Path], typer.Argument(metavar="ARCHIVE", help="The same sequences, coded in different ways")
+        list[Path], typer.Argument(metavar="ARCHIVE", help="The same sequences, coded in different ways.")
     ],
-    against: Annotated[Path, typer.Option(help="Data root: source scans, labels, poses.txt")],
-    out: Annotated[Path, typer.Option(help="The record for the report goes here")],
-    rivals: Annotated[str, typer.Option(help="Baselines to compare at the same bits a point")] = "none",
-    every: Annotated[int, typer.Option(min=1, help="Register every n-th pair only")] = 1,
-    thin: Annotated[int, typer.Option(min=1, help="Take every n-th point of the scan that is moved")] = 1,
+    against: Annotated[
+        Path, typer.Option(metavar="DIR", help="The data lie here: source scans, labels, poses.txt.")
+    ],
+    out: Annotated[Path, typer.Option(help="The record for the report goes here.")],
+    rivals: Annotated[
+        str, typer.Option(metavar="NAME,NAME", help="Compare these codecs at the same bits a point.")
+    ] = "none",
+    every: Annotated[int, typer.Option(min=1, metavar="N", help="Register every n-th pair only.")] = 1,
+    thin: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Take every n-th point of the scan that is moved.")
+    ] = 1,
     workers: Workers = None,
     scheduler: Scheduler = None,
     json_: Json = False,

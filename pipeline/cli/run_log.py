@@ -10,6 +10,9 @@ from typing import Annotated
 import typer
 
 from salpcc.pipeline.cli.run_sequences import (
+    CODING,
+    INPUT,
+    KEPT,
     Baselines,
     Device,
     EffortLevel,
@@ -49,27 +52,44 @@ def log(
         typer.Argument(
             parser=location,
             metavar="LOG",
-            help="NAME.mcap, a ROS 1 .bag, a ROS 2 bag folder or .db3; MCAP at a URL, too",
+            help="An .mcap, a ROS 1 .bag, a ROS 2 bag folder or its .db3; an .mcap may be a URL.",
         ),
     ],
     topic: Annotated[
-        list[str] | None, typer.Option(help="Point clouds to code, repeatable [default: all]")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Code the point clouds of this topic; may be repeated. [default: all]",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     out: Out = Path("out"),
     max_error: Annotated[
-        float | None, typer.Option(help="Metres, 3-D, per point [default: bit-exact]")
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="No point is farther than this from its source, in 3-D. [default: bit-exact]",
+            rich_help_panel=KEPT,
+        ),
     ] = None,
     keep_movable: KeepMovable = False,
     weights: Weights = "small",
     frames: Annotated[
-        str | None, typer.Option(metavar="A:B", help="Clouds A to B - 1 of each topic, from 0")
+        str | None,
+        typer.Option(
+            metavar="A:B",
+            help="Take clouds A to B - 1 of each topic only, counted from 0.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     effort: EffortLevel = "default",
     gop: Gop = 8,
     sensor: Annotated[
         str,
         typer.Option(
-            help="Shipped sensor model, a JSON file, or auto: the shipped one that the first clouds are of"
+            metavar="NAME|FILE|auto",
+            help="The sensor's model: a shipped one, a JSON file, or auto, the shipped one that the first clouds are of.",
+            rich_help_panel=CODING,
         ),
     ] = "auto",
     workers: Workers = None,
@@ -82,7 +102,7 @@ def log(
     device: Device = "cpu",
     json_: Json = False,
 ) -> None:
-    """Encode the point clouds of a log, keep its other topics as they are, measure, report."""
+    """Encode the point clouds of a log, keep its other topics as they are, measure, and write a report."""
     require("run", "run")
     from salpcc.pipeline.choose_sensor import AUTO, choose_sensor
     from salpcc.pipeline.progress import STDERR

@@ -28,30 +28,105 @@ if TYPE_CHECKING:
     from salpcc.pipeline.graph import GraphOptions
     from salpcc.pipeline.run import RunRequest, RunResult
 
-app = typer.Typer(help="Encode recorded scans to archives and report what it cost.", no_args_is_help=True)
+app = typer.Typer(help="Encode recorded scans to archives, and report what it cost.", no_args_is_help=True)
 DEFAULT_MANIFEST = Path("data_manifest.yaml")
 PLACE = "DIR|URL"
 
+# Panels of the help, in their order.
+INPUT, KEPT, CODING, RUNNING = "Input and output", "What is kept", "Coding", "Running"
+
 # Options that `run sequences` and `run log` share.
 Out = Annotated[
-    Path, typer.Option(parser=location, metavar=PLACE, help="Archives, report and shards go here")
+    Path,
+    typer.Option(
+        parser=location, metavar=PLACE, help="Archives, report and shards go here.", rich_help_panel=INPUT
+    ),
 ]
-KeepMovable = Annotated[bool, typer.Option("--keep-movable", help="Keep movable objects")]
-Weights = Annotated[str, typer.Option(help="Of the network: a shipped width, or a file")]
-EffortLevel = Annotated[Effort, typer.Option(help="How hard to search for fewer bits")]
-Gop = Annotated[int, typer.Option(help="Scans per group of pictures")]
-Sensor = Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")]
-Workers = Annotated[int | None, typer.Option(min=0, help="Processes; 0 is in-process [default: cores]")]
-Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="A running Dask cluster")]
-FromStage = Annotated[str | None, typer.Option("--from", help=f"Redo from: {' | '.join(STAGES)}")]
-ToStage = Annotated[str, typer.Option("--to", help="Stop after this stage, keeping its shards")]
+KeepMovable = Annotated[
+    bool,
+    typer.Option("--keep-movable", help="Keep what can move, such as cars and people.", rich_help_panel=KEPT),
+]
+Weights = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME|FILE",
+        help="The network that tells what can move: a shipped width, or a file.",
+        rich_help_panel=KEPT,
+    ),
+]
+EffortLevel = Annotated[
+    Effort, typer.Option(help="How hard to search for fewer bits.", rich_help_panel=CODING)
+]
+Gop = Annotated[
+    int,
+    typer.Option(metavar="SCANS", help="Scans that are coded as one group.", rich_help_panel=CODING),
+]
+Sensor = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME|FILE", help="The sensor's model: a shipped one, or a JSON file.", rich_help_panel=CODING
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Processes to work in; 0 works in this one. [default: one per core]",
+        rich_help_panel=RUNNING,
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT",
+        help="Work on the Dask cluster that runs there.",
+        rich_help_panel=RUNNING,
+    ),
+]
+FromStage = Annotated[
+    str | None,
+    typer.Option(
+        "--from",
+        metavar="STAGE",
+        help=f"Do this stage and all after it again: {', '.join(STAGES)}.",
+        rich_help_panel=RUNNING,
+    ),
+]
+ToStage = Annotated[
+    str,
+    typer.Option(
+        "--to",
+        metavar="STAGE",
+        help="Stop after this stage, and keep its shards.",
+        rich_help_panel=RUNNING,
+    ),
+]
 Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace archives in --out that were made otherwise")
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Replace archives in --out that were made in another way.",
+        rich_help_panel=RUNNING,
+    ),
 ]
-KeepShards = Annotated[bool, typer.Option("--keep-shards", help="Keep intermediate shards")]
-Baselines = Annotated[str, typer.Option(help="all | none | NAME,NAME")]
-Device = Annotated[str, typer.Option(help="cpu | cuda, for the networks")]
-Json = Annotated[bool, typer.Option("--json", help="Print report.json to stdout")]
+KeepShards = Annotated[
+    bool,
+    typer.Option("--keep-shards", help="Keep what the stages hand to each other.", rich_help_panel=RUNNING),
+]
+Baselines = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME,NAME",
+        help="Measure these other codecs, too; all and none are names.",
+        rich_help_panel=RUNNING,
+    ),
+]
+Device = Annotated[
+    str,
+    typer.Option(metavar="cpu|cuda", help="The networks that use torch run here.", rich_help_panel=RUNNING),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print report.json to stdout.", rich_help_panel=RUNNING)]
 
 
 @app.command(
@@ -60,38 +135,75 @@ Json = Annotated[bool, typer.Option("--json", help="Print report.json to stdout"
 )
 def sequences(
     names: Annotated[
-        str, typer.Argument(metavar="SEQUENCES", help="04 · 00,04,07 · 11-21 · a split of the manifest")
+        str,
+        typer.Argument(
+            metavar="SEQUENCES", help="Which ones: 04, or 00,04,07, or 11-21, or a split of the manifest."
+        ),
     ],
     root: Annotated[
         Path | None,
         typer.Option(
-            parser=location, metavar=PLACE, help="Where the data lie [default: the manifest's root]"
+            parser=location,
+            metavar=PLACE,
+            help="The data lie here. [default: the manifest's root]",
+            rich_help_panel=INPUT,
         ),
     ] = None,
     out: Out = Path("out"),
-    manifest: Annotated[Path, typer.Option(help="Sources, sequences, splits")] = DEFAULT_MANIFEST,
+    manifest: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="It names roots, sequences and splits.", rich_help_panel=INPUT),
+    ] = DEFAULT_MANIFEST,
     source: Annotated[
-        str, typer.Option(help="semantickitti | kitti_raw | simulated | bag")
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="How the data are laid out: semantickitti, kitti_raw, bag; or simulated.",
+            rich_help_panel=INPUT,
+        ),
     ] = "semantickitti",
-    profile: Annotated[Profile, typer.Option(help="sensor lattice, or the paper's grid")] = "sensor",
     max_error: Annotated[
         float | None,
         typer.Option(
-            help="Metres, 3-D, per point [default: bit-exact]; --profile paper: the range step [default: 0.001]"
+            metavar="METRES",
+            help="No point is farther than this from its source, in 3-D; with --profile paper, the step of ranges. "
+            "[default: bit-exact; 0.001]",
+            rich_help_panel=KEPT,
         ),
     ] = None,
     keep_movable: KeepMovable = False,
-    labels: Annotated[Labels, typer.Option(help="From the network, or from .label files")] = "network",
+    labels: Annotated[
+        Labels,
+        typer.Option(help="Ask the network what can move, or take .label files.", rich_help_panel=KEPT),
+    ] = "network",
     weights: Weights = "small",
     several_scans: Annotated[
-        bool, typer.Option(help="Let the scans of a group settle their classes together")
+        bool,
+        typer.Option(help="Let the scans of a group settle their classes together.", rich_help_panel=KEPT),
     ] = True,
-    columns: Annotated[int, typer.Option(help="Numbers a point in .bin files; 5: nuScenes, with rings")] = 4,
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frame numbers A to B - 1")] = None,
+    columns: Annotated[
+        int,
+        typer.Option(
+            metavar="4|5", help="Numbers a point in .bin files; nuScenes has 5.", rich_help_panel=INPUT
+        ),
+    ] = 4,
+    frames: Annotated[
+        str | None,
+        typer.Option(metavar="A:B", help="Take frames A to B - 1 only.", rich_help_panel=INPUT),
+    ] = None,
+    profile: Annotated[
+        Profile,
+        typer.Option(help="Code on the sensor's lattice, or on the paper's grid.", rich_help_panel=CODING),
+    ] = "sensor",
     effort: EffortLevel = "default",
     coder: Annotated[
         Coder,
-        typer.Option(help="Of the residuals, with --profile paper: PPMd, the paper's others, or context"),
+        typer.Option(
+            metavar="NAME",
+            help="It codes residuals with --profile paper: ppmd, zstd, lz4, bzip2, brotli, lzma2, lizard, lz5, "
+            "deflate64, or our own context.",
+            rich_help_panel=CODING,
+        ),
     ] = "ppmd",
     gop: Gop = 8,
     sensor: Sensor = "hdl64e",
@@ -104,12 +216,16 @@ def sequences(
     baselines: Baselines = "none",
     tmc3: Annotated[
         Path | None,
-        typer.Option(help="MPEG's program, for baselines tmc13… on this machine [default: on the PATH]"),
+        typer.Option(
+            metavar="FILE",
+            help="MPEG's program, for the baselines tmc13 and tmc13_octree. [default: the one on the PATH]",
+            rich_help_panel=RUNNING,
+        ),
     ] = None,
     device: Device = "cpu",
     json_: Json = False,
 ) -> None:
-    """Encode sequences of scans, decode them again, measure, report."""
+    """Encode sequences of scans, decode them again, measure, and write a report."""
     require("run", "run")
     from salpcc.pipeline.run import RunRequest
     from salpcc.stages.evaluate.baselines import names as baseline_names

@@ -15,8 +15,8 @@ from salpcc.schemas.manifest import expand_sequences
 
 app = typer.Typer(help="Train a network on recorded scans.", no_args_is_help=True)
 
-Data = Annotated[Path, typer.Option(help="Root of recorded scans, in any layout that run sequences reads")]
-Out = Annotated[Path, typer.Option(help="Folder for the weights")]
+Data = Annotated[Path, typer.Option(help="Recorded scans lie here, in any layout that run sequences reads.")]
+Out = Annotated[Path, typer.Option(help="The weights go here.")]
 
 
 @app.command(epilog="Example:  `salpcc-pipeline train coder --data DIR --out weights`")
@@ -24,9 +24,11 @@ def coder(
     data: Data,
     out: Out = Path("weights"),
     effort: Annotated[
-        Effort, typer.Option(help="Which effort the weights are for; those of fast are tables")
+        Effort, typer.Option(help="The weights are for this effort; those of fast are tables.")
     ] = "default",
-    sensor: Annotated[str, typer.Option(help="Shipped sensor model, or a JSON file")] = "hdl64e",
+    sensor: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="The sensor's model: a shipped one, or a JSON file.")
+    ] = "hdl64e",
 ) -> None:
     """Train the coder's networks (range and intensity), or count its tables."""
     if effort != "fast":
@@ -50,29 +52,30 @@ def coder(
     epilog="Examples:  `salpcc-pipeline train segment --data DIR`  ·  `… --score small` (score what ships)"
 )
 def segment(
-    data: Annotated[Path, typer.Option(help="Root in SemanticKITTI layout, with labels")],
-    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and training.csv")] = Path(
+    data: Annotated[Path, typer.Option(help="Labelled scans lie here, in SemanticKITTI's layout.")],
+    out: Annotated[Path, typer.Option(help="Weights, checkpoint and training.csv go here.")] = Path(
         "weights"
     ),
-    width: Annotated[str, typer.Option(help="small | paper")] = "small",
-    hold_out: Annotated[str, typer.Option(help="Sequences to score on and never to train on")] = "06",
+    width: Annotated[str, typer.Option(metavar="small|paper", help="The width of the network.")] = "small",
+    hold_out: Annotated[str, typer.Option(help="Score on these sequences, and never train on them.")] = "06",
     donors: Annotated[
         str,
         typer.Option(
             metavar="ROOT",
-            help="Labelled root whose vehicles and people are pasted in, too; simulated: streets made in --out; none",
+            help="Paste in vehicles and people of the labelled data that lie here, of simulated streets, or none.",
         ),
     ] = "simulated",
-    steps: Annotated[int, typer.Option(min=1, help="Optimiser steps")] = 5000,
-    batch: Annotated[int, typer.Option(min=1, help="Crops in a step")] = 8,
-    rate: Annotated[float, typer.Option(help="Peak learning rate")] = 2e-3,
-    seed: Annotated[int, typer.Option(help="Of weights and crops")] = 0,
-    every: Annotated[int, typer.Option(min=1, help="Steps between checkpoints and scores")] = 250,
-    workers: Annotated[int, typer.Option(min=0, help="Processes that make crops")] = 1,
-    device: Annotated[str, typer.Option(help="cpu | cuda")] = "cpu",
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in --out")] = False,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the optimiser.")] = 5000,
+    batch: Annotated[int, typer.Option(min=1, help="Crops in a step.")] = 8,
+    rate: Annotated[float, typer.Option(help="The learning rate at its peak.")] = 2e-3,
+    seed: Annotated[int, typer.Option(help="The seed of weights and crops.")] = 0,
+    every: Annotated[int, typer.Option(min=1, help="Steps between checkpoints and scores.")] = 250,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that make crops.")] = 1,
+    device: Annotated[str, typer.Option(metavar="cpu|cuda", help="Train here.")] = "cpu",
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in --out.")] = False,
     score: Annotated[
-        str | None, typer.Option(metavar="WEIGHTS", help="Do not train, score these on --hold-out")
+        str | None,
+        typer.Option(metavar="WEIGHTS", help="Score these weights on --hold-out, and train nothing."),
     ] = None,
 ) -> None:
     """Train the segmentation network on labelled scans, or score it.
@@ -114,16 +117,16 @@ def segment(
     epilog="Example:  `salpcc-pipeline train predict --data kitti/dataset --data kitti_raw --out weights`"
 )
 def predict(
-    data: Annotated[
-        list[Path], typer.Option(help="Root of recorded or simulated scans; may be given several times")
-    ],
+    data: Annotated[list[Path], typer.Option(help="Recorded or simulated scans lie here; may be repeated.")],
     out: Out = Path("weights"),
-    iterations: Annotated[int, typer.Option(min=1, help="Optimiser steps in float")] = 1000,
-    rounded: Annotated[int, typer.Option(min=0, help="Then so many with the integers' rounding")] = 120,
-    batch: Annotated[int, typer.Option(min=1, help="Windows in a step")] = 2,
-    rate: Annotated[float, typer.Option(help="Peak learning rate")] = 2e-3,
-    seed: Annotated[int, typer.Option(help="Of weights and windows")] = 0,
-    device: Annotated[str, typer.Option(help="cpu | cuda")] = "cpu",
+    iterations: Annotated[int, typer.Option(min=1, help="Steps of the optimiser in float.")] = 1000,
+    rounded: Annotated[
+        int, typer.Option(min=0, help="Steps after those, with the rounding of whole numbers.")
+    ] = 120,
+    batch: Annotated[int, typer.Option(min=1, help="Windows in a step.")] = 2,
+    rate: Annotated[float, typer.Option(help="The learning rate at its peak.")] = 2e-3,
+    seed: Annotated[int, typer.Option(help="The seed of weights and windows.")] = 0,
+    device: Annotated[str, typer.Option(metavar="cpu|cuda", help="Train here.")] = "cpu",
 ) -> None:
     """Train the prediction network of the paper profile on consecutive scans; sequence 06 validates.
 

@@ -94,3 +94,37 @@ def test_help_names_every_choice(arguments: list[str], choices: dict[str, object
     """They stand in the text of the command, so that telling them loads none of them."""
     shown, _ = loaded(HELP.format(arguments=arguments))
     assert set(choices) <= set(re.findall(r"\w+", shown))
+
+
+def options() -> list[tuple[str, object]]:
+    """Every argument and option of every command, with its command."""
+    from typer.main import get_command
+
+    from salpcc.pipeline.cli.app import app
+
+    found: list[tuple[str, object]] = []
+    commands = [("", get_command(app))]
+    while commands:
+        name, command = commands.pop()
+        commands += [(f"{name} {sub}", each) for sub, each in getattr(command, "commands", {}).items()]
+        found += [(name, parameter) for parameter in command.params]
+    return found
+
+
+def test_help_is_whole_sentences() -> None:
+    assert len(options()) > 80
+    for command, parameter in options():
+        text = str(getattr(parameter, "help", "") or "")
+        where = f"{command} {getattr(parameter, 'name', '')}: {text!r}"
+        assert text[:1].isupper() and text.partition(" [default")[0].rstrip()[-1:] in ".", where
+
+
+def test_the_options_of_run_stand_in_four_groups() -> None:
+    groups = ["Input and output", "What is kept", "Coding", "Running"]
+    for command in ("sequences", "log"):
+        shown, _ = loaded(HELP.format(arguments=["run", command, "--help"]))
+        assert [line for line in groups if line in shown] == groups
+        places = [shown.index(f"─ {group} ─") for group in groups]
+        assert places == sorted(places)
+        options_panel = shown[shown.index("─ Options ─") : places[0]]
+        assert "--help" in options_panel and options_panel.count("--") == 1
