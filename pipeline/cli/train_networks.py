@@ -83,7 +83,7 @@ def segment(
     The defaults are the recipe of the shipped weights: three phases, simulated vehicles pasted in.
     """
     require("segment", "train segment")
-    from salpcc.stages.segment.checkpoint import load_weights
+    from salpcc.stages.segment.checkpoint import load_cached
     from salpcc.stages.segment.network import WIDTHS
     from salpcc.stages.segment.training.donors import simulated_donors
     from salpcc.stages.segment.training.labelled import list_labelled
@@ -99,8 +99,7 @@ def segment(
     names = expand_sequences(hold_out) if hold_out else []
     held_out = list_labelled(data, names) if names else []
     if score is not None:
-        network, _ = load_weights(weights_path(score))
-        for line in score_table(network.to(device), held_out, device):
+        for line in score_table(load_cached(weights_path(score), device), held_out):
             typer.echo(line)
         return
     recipe = Recipe(width, steps, batch, rate, seed=seed, workers=workers, every=every)

@@ -27,11 +27,11 @@ from salpcc.stages.evaluate.report.record import record
 from salpcc.stages.evaluate.report.schema import ABLATIONS
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.checkpoint import load_weights
+from salpcc.stages.segment.checkpoint import load_cached
 from salpcc.stages.segment.class_shares import as_in_streets
 from salpcc.stages.segment.confusion import UNLABELLED, confusion
+from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.labelling import step_motions
-from salpcc.stages.segment.network import SegmentNetwork
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
 from salpcc.stages.segment.several_scans import agree
 from salpcc.stages.segment.training.score import scores
@@ -56,7 +56,7 @@ _NONE = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
 
 
 def variants(
-    network: SegmentNetwork, gop: Sequence[tuple[int, Scan]]
+    network: FusedNetwork, gop: Sequence[tuple[int, Scan]]
 ) -> Iterator[tuple[str, list[Segmentation]]]:
     """Yield the name of each variant and what it makes of the scans of a group."""
     project = Projector(load_sensor("hdl64e"))
@@ -76,7 +76,7 @@ def study(
     rows: list[dict[str, Any]] = []
     every: Counts = {}
     for names, weights in folds:
-        network, _ = load_weights(weights)
+        network = load_cached(weights)
         for sequence in expand_sequences(names):
             counts: Counts = {}
             for gop in read_gops(root, sequence):
@@ -93,7 +93,7 @@ def study(
 def _counts(found: Segmentation, scan: Scan) -> NDArray[np.int64]:
     assert scan.classes is not None
     known = scan.classes != UNLABELLED
-    return confusion(scan.classes[known], found.labels(scan.points)[known], len(CLASSES))
+    return confusion(scan.classes[known], found.labels()[known], len(CLASSES))
 
 
 def _rows(sequence: str, counts: Counts) -> list[dict[str, Any]]:

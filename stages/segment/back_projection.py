@@ -67,15 +67,11 @@ def _vote(
     return out
 
 
-def classes_of_points(
-    image: RangeImage, classes: NDArray[np.uint8], points: NDArray[np.float32]
-) -> NDArray[np.uint8]:
+def classes_of_points(image: RangeImage, classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a class per point ``(N,)`` from the classes ``(64, W)`` of the pixels.
 
     A point that its pixel shows takes the pixel's class, a hidden one what its neighbours in range vote,
     one without a pixel (NaN, out of reach) is unlabelled.
     """
-    with np.errstate(all="ignore"):
-        distance = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
     shown = np.ascontiguousarray(image.planes[RANGE])
-    return _vote(image.index, shown, classes, image.row, image.column, distance, len(CLASSES))
+    return _vote(image.index, shown, classes, image.row, image.column, image.distance, len(CLASSES))

@@ -14,7 +14,8 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from salpcc.schemas.files import atomic
-from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork, for_cpu
+from salpcc.stages.segment.fused import FusedNetwork
+from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork
 from salpcc.stages.segment.weights_file import WeightsError, read_weights
 
 VERSION = 1
@@ -37,7 +38,7 @@ def save_weights(
 
 
 def load_weights(path: Path) -> tuple[SegmentNetwork, dict[str, object]]:
-    """Read a network, ready to label, and the facts about its training; inverse of :func:`save_weights`.
+    """Read a network and the facts about its training; inverse of :func:`save_weights`.
 
     Raises:
         WeightsError: missing, damaged, newer than this tool, or not this network's.
@@ -68,10 +69,10 @@ def load_weights(path: Path) -> tuple[SegmentNetwork, dict[str, object]]:
     if lost or unexpected:
         odd = (lost + unexpected)[0]
         raise WeightsError(f"{path}: weights do not fit the network of this version ({odd})")
-    return for_cpu(network.eval()), facts
+    return network.eval(), facts
 
 
 @lru_cache(maxsize=2)
-def load_cached(path: Path, device: str = "cpu") -> SegmentNetwork:
-    """Read a network once per process."""
-    return load_weights(path)[0].to(device)
+def load_cached(path: Path, device: str = "cpu") -> FusedNetwork:
+    """Read a network for labelling, once per process."""
+    return FusedNetwork(load_weights(path)[0], device)

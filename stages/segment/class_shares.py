@@ -27,7 +27,7 @@ _HEAVIEST = np.float32(
 # et al., ICLR 2021). Vehicles are left as they are: what is taken from trucks and buses is lost (measured).
 _PASTED_TOO_OFTEN = 20.0
 _PASTED = [name in ("bicycle", "motorcycle", "person", "bicyclist", "motorcyclist") for name in _NAMES]
-_PRIOR = np.where(_PASTED, 1.0 / _PASTED_TOO_OFTEN, 1.0).astype(np.float32)
+_LOG_PRIOR = np.log(np.where(_PASTED, 1.0 / _PASTED_TOO_OFTEN, 1.0)).astype(np.float32)
 
 
 def training_weights(root: float = 4.0) -> NDArray[np.float32]:
@@ -36,7 +36,6 @@ def training_weights(root: float = 4.0) -> NDArray[np.float32]:
     return weights / (weights * SHARES).sum()
 
 
-def as_in_streets(probabilities: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Turn the network's probabilities ``(19, ...)`` into those for streets with no pasted people."""
-    weighed = probabilities * _PRIOR.reshape(-1, *[1] * (probabilities.ndim - 1))
-    return weighed / weighed.sum(axis=0)
+def as_in_streets(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Turn the network's logits ``(..., 19)`` into those for streets with no pasted people."""
+    return logits + _LOG_PRIOR

@@ -44,6 +44,16 @@ def _soft(step: float) -> float:
 
 
 @njit(cache=True)
+def _beside(column: int, step: int, columns: int, circular: bool) -> tuple[int, int]:
+    left, right = column - step, column + step
+    if left < 0:
+        left = left + columns if circular else 0
+    if right >= columns:
+        right = right - columns if circular else columns - 1
+    return left, right
+
+
+@njit(cache=True)
 def pixel_features(planes: F32, circular: bool) -> F32:
     """Return features ``(19, H, W)`` float32 of range-image planes ``(6, H, W)``; 0 where there is no return.
 
@@ -61,12 +71,8 @@ def pixel_features(planes: F32, circular: bool) -> F32:
             r = planes[3, i, j]
             if r <= 0:
                 continue
-            if circular:
-                one_left, one_right = (j - 1) % columns, (j + 1) % columns
-                left, right = (j - _REACH) % columns, (j + _REACH) % columns
-            else:
-                one_left, one_right = max(j - 1, 0), min(j + 1, columns - 1)
-                left, right = max(j - _REACH, 0), min(j + _REACH, columns - 1)
+            one_left, one_right = _beside(j, 1, columns, circular)
+            left, right = _beside(j, _REACH, columns, circular)
             out[0, i, j] = np.log(r) / 3.0
             out[1, i, j] = 4.0 / (r + 2.0)
             beside = (

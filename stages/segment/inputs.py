@@ -48,8 +48,8 @@ def network_input(
     first = (folded[RANGE] > 0).argmax(axis=2)
     stands = np.take_along_axis(folded, first[None, :, :, None], axis=3)[..., 0].reshape(len(planes), -1)
     seen = planes[:, planes[RANGE] > 0]
-    sets = sample(np.ascontiguousarray(seen[:3].T), np.ascontiguousarray(stands[:3].T), n_points, rng)
-    sets.pixel_weights[stands[RANGE] == 0] = 0.0
+    asked = stands[RANGE] > 0
+    sets = sample(np.ascontiguousarray(seen[:3].T), np.ascontiguousarray(stands[:3].T), n_points, rng, asked)
     taken = seen[:, sets.source]
     points = np.concatenate([taken[:3], taken[HEIGHT, None].clip(-2, 6) / 2, taken[INTENSITY, None]])
     return NetworkInput(

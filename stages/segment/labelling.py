@@ -44,13 +44,13 @@ def _by_network(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig)
     from salpcc.stages.segment.several_scans import agree
 
     network = load_cached(weights_path(config.weights), config.device)
-    scans = [sweep_to_scan(sweep, sensor) for sweep in sweeps]
-    found = [segment_scan(network, scan.points, scan.intensity, config.device) for scan in scans]
+    scans = (sweep_to_scan(sweep, sensor) for sweep in sweeps)
+    found = [segment_scan(network, scan.points, scan.intensity) for scan in scans]
     if config.several_scans:
         found = agree(found, step_motions(sweeps))
     return [
-        sweep if sweep.classes is not None else with_classes(sweep, sensor, one.labels(scan.points))
-        for sweep, scan, one in zip(sweeps, scans, found, strict=True)
+        sweep if sweep.classes is not None else with_classes(sweep, sensor, one.labels())
+        for sweep, one in zip(sweeps, found, strict=True)
     ]
 
 

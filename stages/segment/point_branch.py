@@ -82,6 +82,11 @@ class PointBranch(nn.Module):
 
     def forward(self, sets: PointTensors) -> Tensor:
         """Return features ``(B, pixels, widths[0])`` of the queried pixels."""
+        points = self.first_level(sets)
+        return (gather(points, sets.pixel_parents) * sets.pixel_weights.unsqueeze(-1)).sum(2)
+
+    def first_level(self, sets: PointTensors) -> Tensor:
+        """Return features ``(B, M, widths[0])`` of the points of the first level."""
         where = sets.features[..., :3]
         features = sets.features[..., 3:]
         levels = []
@@ -100,4 +105,4 @@ class PointBranch(nn.Module):
             weight = sets.weights[level].unsqueeze(-1)
             lifted = (gather(up, sets.parents[level]) * weight).sum(2)
             up = self.decoders[level](torch.cat([levels[level], lifted], -1))
-        return (gather(up, sets.pixel_parents) * sets.pixel_weights.unsqueeze(-1)).sum(2)
+        return up

@@ -16,6 +16,8 @@ from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.segment.ground_height import height_above_ground
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
 
 ROWS = 64
 COLUMNS = 2048
@@ -32,55 +34,79 @@ class RangeImage:
         planes: ``(6, 64, W)`` float32: x, y, z, range, intensity, height above the ground; 0 where empty.
         index: ``(64, W)`` int32, the point that each pixel shows (the nearest of those in it), -1 if none.
         row, column: ``(N,)`` int32, the pixel of each point, -1 for points that have none (NaN, origin).
+        distance: ``(N,)`` float32, the range of each point that has a pixel.
     """
 
     planes: F32
     index: NDArray[np.int32]
     row: NDArray[np.int32]
     column: NDArray[np.int32]
+    distance: F32
 
 
 @njit(cache=True)
-def nearest_cones(points: F32, tangent: NDArray[np.float64], z0: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the row ``(N,)`` of the cone that each point ``(N, 3)`` is vertically nearest to; -1 out of reach."""
+def nearest_cone(x: float, y: float, z: float, tangent: F64, z0: F64, start: int) -> int:
+    """Return the row of the cone that a point is vertically nearest to; -1 out of reach.
+
+    ``start`` is where to look first, such as the row of the point before.
+    """
+    x, y, z = np.float64(x), np.float64(y), np.float64(z)
+    square = x * x + y * y
+    if not NEAREST**2 < square + z * z < FARTHEST**2:  # NaN fails both
+        return -1
+    rho = np.sqrt(square)
+    # Cones come top to bottom, so the height of a cone at the point's distance falls with its number.
+    below = max(start, 0)
+    while below < len(tangent) and z0[below] + rho * tangent[below] > z:
+        below += 1
+    while below > 0 and not z0[below - 1] + rho * tangent[below - 1] > z:
+        below -= 1
+    if below > 0:
+        over = z0[below - 1] + rho * tangent[below - 1] - z
+        if below == len(tangent) or over < z - z0[below] - rho * tangent[below]:
+            return below - 1
+    return below
+
+
+@njit(cache=True)
+def _pixels(points: F32, azimuth: F32, tangent: F64, z0: F64, columns: int) -> tuple[I32, I32, F32, I32]:
+    """Return row, column and distance ``(N,)`` of each point, and the point ``(H, W)`` that each pixel shows."""
     row = np.full(len(points), -1, np.int32)
+    column = np.full(len(points), -1, np.int32)
+    distance = np.zeros(len(points), np.float32)
+    index = np.full((len(tangent), columns), -1, np.int32)
+    a = 0
     for i in range(len(points)):
-        x = np.float64(points[i, 0])
-        y = np.float64(points[i, 1])
-        z = np.float64(points[i, 2])
-        rho = np.sqrt(x * x + y * y)
-        distance = np.sqrt(rho * rho + z * z)
-        if not (distance > NEAREST and distance < FARTHEST):  # NaN fails both
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        a = nearest_cone(x, y, z, tangent, z0, a)
+        if a < 0:
             continue
-        # Cones come top to bottom, so the height of a cone at the point's distance falls with its number.
-        below = 0
-        end = len(tangent)
-        while below < end:
-            middle = (below + end) // 2
-            if z0[middle] + rho * tangent[middle] > z:
-                below = middle + 1
-            else:
-                end = middle
-        row[i] = min(below, len(tangent) - 1)
-        if below > 0:
-            over = z0[below - 1] + rho * tangent[below - 1] - z
-            if below == len(tangent) or over < z - z0[below] - rho * tangent[below]:
-                row[i] = below - 1
-    return row
+        b = min(int(0.5 * (1.0 - azimuth[i] / np.pi) * columns), columns - 1)
+        row[i] = a
+        column[i] = b
+        distance[i] = np.sqrt(np.float64(x) * x + np.float64(y) * y + np.float64(z) * z)
+        there = index[a, b]
+        if there < 0 or distance[i] < distance[there]:
+            index[a, b] = i
+    return row, column, distance, index
 
 
 @njit(cache=True)
-def _nearest_return(
-    distance: F32, row: NDArray[np.int32], column: NDArray[np.int32], rows: int, columns: int
-) -> NDArray[np.int32]:
-    index = np.full((rows, columns), -1, np.int32)
-    for i in range(len(row)):
-        if row[i] < 0:
-            continue
-        there = index[row[i], column[i]]
-        if there < 0 or distance[i] < distance[there]:
-            index[row[i], column[i]] = i
-    return index
+def _shown(points: F32, intensity: F32, distance: F32, index: I32) -> F32:
+    """Return the planes of an image but for heights, which are 0."""
+    rows, columns = index.shape
+    planes = np.zeros((PLANES, rows, columns), np.float32)
+    for a in range(rows):
+        for b in range(columns):
+            i = index[a, b]
+            if i < 0:
+                continue
+            for axis in range(3):
+                planes[axis, a, b] = points[i, axis]
+            planes[RANGE, a, b] = distance[i]
+            if intensity[i] > 0:  # NaN is not
+                planes[INTENSITY, a, b] = min(intensity[i], np.float32(1.0))
+    return planes
 
 
 def project(
@@ -93,19 +119,10 @@ def project(
     """
     cones = sensor or load_sensor("hdl64e")
     points = np.ascontiguousarray(points, np.float32)
-    row = nearest_cones(points, np.tan(cones.theta), cones.z0)
     with np.errstate(all="ignore"):
-        turn = 0.5 * (1.0 - np.arctan2(points[:, 1], points[:, 0]).astype(np.float64) / np.pi)
-        distance = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
-    column = np.where(row >= 0, turn * columns, -1.0)
-    column = np.minimum(column, columns - 1).astype(np.int32)
-    index = _nearest_return(distance, row, column, cones.n_lasers, columns)
-
+        azimuth = np.arctan2(points[:, 1], points[:, 0])
+    row, column, distance, index = _pixels(points, azimuth, np.tan(cones.theta), cones.z0, columns)
+    planes = _shown(points, np.asarray(intensity, np.float32), distance, index)
     seen = index >= 0
-    shown = index[seen]
-    planes = np.zeros((PLANES, cones.n_lasers, columns), np.float32)
-    planes[X:RANGE, seen] = points[shown].T
-    planes[RANGE, seen] = distance[shown]
-    planes[INTENSITY, seen] = np.nan_to_num(intensity[shown], posinf=1.0, neginf=0.0).clip(0.0, 1.0)
-    planes[HEIGHT, seen] = height_above_ground(points[row >= 0], points[shown])
-    return RangeImage(planes, index, row, column)
+    planes[HEIGHT, seen] = height_above_ground(points[row >= 0], points[index[seen]])
+    return RangeImage(planes, index, row, column, distance)

@@ -19,6 +19,7 @@ I64 = NDArray[np.int64]
 GROUP = 16  # points that are pooled into one of the next level
 SHRINK = 4  # points of one level per point of the next
 LEVELS = 3
+_BUCKET = 64  # points that farthest point sampling skips together
 _FLOOR = 0.05  # metres added to distances, so that weights stay finite
 
 
@@ -43,28 +44,63 @@ class PointSets:
     pixel_weights: F32
 
 
-@njit(cache=True)
 def farthest_points(points: F32, count: int) -> NDArray[np.int64]:
     """Return places ``(count,)`` of the farthest point sample of ``points`` ``(P, 3)``, from point 0 on.
 
     Ties go to the lower place. Where there are fewer points than asked for, places repeat.
     """
+    near = np.asarray(cKDTree(points, leafsize=_BUCKET).indices, np.int64)
+    return _farthest(np.ascontiguousarray(points[near]), near, count)
+
+
+@njit(cache=True)
+def _farthest(points: F32, place: I64, count: int) -> NDArray[np.int64]:
+    """Sample as :func:`farthest_points`; points come in an order that keeps neighbours together, with their places.
+
+    A bucket of them is left alone where no point of its box is nearer to the newest than all of them already are to
+    an older one. Rounding is monotonic, so the bound holds for the numbers computed, and the sample is the plain one's.
+    """
     n = len(points)
-    x = points[:, 0].copy()
-    y = points[:, 1].copy()
-    z = points[:, 2].copy()
+    buckets = (n + _BUCKET - 1) // _BUCKET
+    low = np.empty((buckets, 3), np.float32)
+    high = np.empty((buckets, 3), np.float32)
+    for b in range(buckets):
+        for axis in range(3):
+            low[b, axis] = points[b * _BUCKET : (b + 1) * _BUCKET, axis].min()
+            high[b, axis] = points[b * _BUCKET : (b + 1) * _BUCKET, axis].max()
     distance = np.full(n, np.float32(np.inf))
+    reach = np.full(buckets, np.float32(np.inf))  # the largest distance in each bucket
+    which = np.zeros(buckets, np.int64)  # the point that has it, of the lowest place
     chosen = np.zeros(count, np.int64)
-    last = 0
+    last = int(np.argmin(place))
+    zero = np.float32(0.0)
     for k in range(1, count):
-        px, py, pz = x[last], y[last], z[last]
-        for i in range(n):
-            dx = x[i] - px
-            dy = y[i] - py
-            dz = z[i] - pz
-            distance[i] = min(distance[i], dx * dx + dy * dy + dz * dz)
-        last = int(np.argmax(distance))
-        chosen[k] = last
+        px, py, pz = points[last, 0], points[last, 1], points[last, 2]
+        for b in range(buckets):
+            dx = max(low[b, 0] - px, px - high[b, 0], zero)
+            dy = max(low[b, 1] - py, py - high[b, 1], zero)
+            dz = max(low[b, 2] - pz, pz - high[b, 2], zero)
+            if dx * dx + dy * dy + dz * dz >= reach[b]:
+                continue
+            best = np.float32(-1.0)
+            at = 0
+            for i in range(b * _BUCKET, min((b + 1) * _BUCKET, n)):
+                dx = points[i, 0] - px
+                dy = points[i, 1] - py
+                dz = points[i, 2] - pz
+                d = min(distance[i], dx * dx + dy * dy + dz * dz)
+                distance[i] = d
+                if d > best or (d == best and place[i] < place[at]):
+                    best = d
+                    at = i
+            reach[b] = best
+            which[b] = at
+        top = 0
+        for b in range(1, buckets):
+            if reach[b] > reach[top] or (reach[b] == reach[top] and place[which[b]] < place[which[top]]):
+                top = b
+        last = which[top]
+        chosen[k] = place[last]
     return chosen
 
 
@@ -76,7 +112,13 @@ def interpolate(points: F32, queries: F32) -> tuple[I64, F32]:
     return np.asarray(nearest, np.int64), weights
 
 
-def sample(points: F32, queries: F32, count: int, rng: np.random.Generator | None = None) -> PointSets:
+def sample(
+    points: F32,
+    queries: F32,
+    count: int,
+    rng: np.random.Generator | None = None,
+    asked: NDArray[np.bool_] | None = None,
+) -> PointSets:
     """Build the point sets of one image.
 
     Args:
@@ -84,6 +126,7 @@ def sample(points: F32, queries: F32, count: int, rng: np.random.Generator | Non
         queries: ``(Q, 3)`` where features are wanted.
         count: points of the first level, a multiple of 16.
         rng: draws the first down-sampling; without it, it is evenly spread.
+        asked: ``(Q,)`` which queries are; the others get weights of 0. By default all are.
     """
     wanted = count * SHRINK
     if rng is None:
@@ -104,5 +147,10 @@ def sample(points: F32, queries: F32, count: int, rng: np.random.Generator | Non
             weights.append(up[1])
         centres.append(chosen)
         before = here
-    pixels = interpolate(taken[order], queries)
-    return PointSets(source, tuple(centres), tuple(groups), tuple(parents), tuple(weights), *pixels)
+    there = np.ones(len(queries), np.bool_) if asked is None else asked
+    pixel_parents = np.zeros((len(queries), 3), np.int64)
+    pixel_weights = np.zeros((len(queries), 3), np.float32)
+    pixel_parents[there], pixel_weights[there] = interpolate(taken[order], queries[there])
+    return PointSets(
+        source, tuple(centres), tuple(groups), tuple(parents), tuple(weights), pixel_parents, pixel_weights
+    )

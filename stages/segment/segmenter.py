@@ -8,21 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS
 from salpcc.stages.segment.back_projection import classes_of_points
 from salpcc.stages.segment.class_shares import as_in_streets
+from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.inputs import network_input, stack
-from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork
-from salpcc.stages.segment.point_branch import PointTensors
+from salpcc.stages.segment.network import N_CLASSES
 from salpcc.stages.segment.range_image import RangeImage, project
 
 F32 = NDArray[np.float32]
-
-# Columns repeated at both ends, so that the seam behind the vehicle is seen whole; divides by every fold and level.
-SEAM = 64
-_MEMBERS = [1 + np.flatnonzero(GROUP_OF_CLASS[1 : N_CLASSES + 1] == group) for group in range(len(GROUPS))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,49 +43,71 @@ class Segmentation:
         """
         return np.take_along_axis(self.best, self.groups.argmax(axis=0)[None], axis=0)[0]
 
-    def labels(self, points: F32) -> NDArray[np.uint8]:
-        """Class ``(N,)`` uint8 of every point ``(N, 3)`` of the scan, hidden ones too."""
-        return classes_of_points(self.image, self.classes(), points)
+    def labels(self) -> NDArray[np.uint8]:
+        """Class ``(N,)`` uint8 of every point of the scan, hidden ones too."""
+        return classes_of_points(self.image, self.classes())
 
 
-def class_scores(
-    network: SegmentNetwork, points: F32, intensity: F32, device: str = "cpu"
-) -> tuple[RangeImage, F32]:
+def class_scores(network: FusedNetwork, points: F32, intensity: F32) -> tuple[RangeImage, F32]:
     """Run the network on points ``(N, 3)`` and intensities ``(N,)`` of one scan, of any sensor.
 
-    Returns the range image and the probability ``(19, 64, W)`` of each class, as trained. On one thread, so that a
+    Returns the range image and the logits ``(64, W, 19)`` of the classes, as trained. On one thread, so that a
     scan gets the same labels however many workers there are.
     """
     image = project(points, intensity)
     if not (image.index >= 0).any():
-        return image, np.full((N_CLASSES, *image.index.shape), 1.0 / N_CLASSES, np.float32)
+        return image, np.zeros((*image.index.shape, N_CLASSES), np.float32)
     config = network.config
     features, sets = stack([network_input(image.planes, config.fold, config.n_points, circular=True)])
-    features, sets = _with_seam(features, sets, config.fold)
     with torch.inference_mode(), _one_thread():
-        logits = network(features.to(device), sets.to(device))[..., SEAM:-SEAM]
-        return image, torch.softmax(logits[0].float(), 0).cpu().numpy()
+        logits = network(features.to(network.device), sets.to(network.device))
+        return image, logits.cpu().numpy()
 
 
 def by_group(image: RangeImage, scores: F32) -> Segmentation:
-    """Sum the probabilities ``(19, 64, W)`` of an image's classes up to groups."""
-    groups = np.stack([scores[members - 1].sum(axis=0) for members in _MEMBERS])
-    best = np.stack([members[scores[members - 1].argmax(axis=0)] for members in _MEMBERS])
-    # Rounded, so that the last bits of a processor's arithmetic decide nothing.
-    return Segmentation(image, np.rint(groups * 4096) / 4096 * (image.index >= 0), best.astype(np.uint8))
+    """Sum the probabilities of an image's classes, given as logits ``(64, W, 19)``, up to groups."""
+    with torch.inference_mode(), _one_thread():
+        probabilities = torch.softmax(torch.from_numpy(scores), 2).numpy()
+    return Segmentation(image, *_sums(probabilities, image.index, GROUP_OF_CLASS))
 
 
-def segment_scan(network: SegmentNetwork, points: F32, intensity: F32, device: str = "cpu") -> Segmentation:
+@njit(cache=True)
+def _sums(
+    probabilities: F32, index: NDArray[np.int32], group_of: NDArray[np.uint8]
+) -> tuple[F32, NDArray[np.uint8]]:
+    rows, columns, classes = probabilities.shape
+    sums = np.zeros((len(GROUPS), rows, columns), np.float32)
+    best = np.zeros((len(GROUPS), rows, columns), np.uint8)
+    total = np.empty(len(GROUPS), np.float32)
+    most = np.empty(len(GROUPS), np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            if index[i, j] < 0:
+                continue
+            total[:] = 0.0
+            most[:] = -1.0
+            for k in range(classes):
+                p = probabilities[i, j, k]
+                group = group_of[k + 1]  # class 0 is never predicted
+                total[group] += p
+                if p > most[group]:
+                    most[group] = p
+                    best[group, i, j] = k + 1
+            for group in range(len(GROUPS)):
+                # Rounded, so that the last bits of a processor's arithmetic decide nothing.
+                sums[group, i, j] = np.rint(total[group] * 4096) / 4096
+    return sums, best
+
+
+def segment_scan(network: FusedNetwork, points: F32, intensity: F32) -> Segmentation:
     """Segment one scan, its classes weighed as they occur in streets."""
-    image, scores = class_scores(network, points, intensity, device)
+    image, scores = class_scores(network, points, intensity)
     return by_group(image, as_in_streets(scores))
 
 
-def label_points(
-    network: SegmentNetwork, points: F32, intensity: F32, device: str = "cpu"
-) -> NDArray[np.uint8]:
+def label_points(network: FusedNetwork, points: F32, intensity: F32) -> NDArray[np.uint8]:
     """Return the class ``(N,)`` uint8 of every point of a scan."""
-    return segment_scan(network, points, intensity, device).labels(points)
+    return segment_scan(network, points, intensity).labels()
 
 
 @contextmanager
@@ -99,14 +118,3 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _with_seam(features: torch.Tensor, sets: PointTensors, fold: int) -> tuple[torch.Tensor, PointTensors]:
-    """Repeat the columns at both ends of a whole turn."""
-    _, _, height, width = features.shape
-    columns = torch.arange(-SEAM, width + SEAM) % width
-    folded = torch.arange(-SEAM // fold, (width + SEAM) // fold) % (width // fold)
-    pixels = (torch.arange(height)[:, None] * (width // fold) + folded).ravel()
-    return features[..., columns], sets._replace(
-        pixel_parents=sets.pixel_parents[:, pixels], pixel_weights=sets.pixel_weights[:, pixels]
-    )

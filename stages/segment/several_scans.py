@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from salpcc.schemas.labels import MOVABLE
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.range_image import HEIGHT, RANGE, nearest_cones
+from salpcc.stages.segment.range_image import HEIGHT, RANGE, RangeImage, nearest_cone
 from salpcc.stages.segment.segmenter import Segmentation
 
 F32 = NDArray[np.float32]
@@ -62,48 +62,62 @@ def pose_between(steps: Sequence[F64 | None], start: int, end: int) -> F64 | Non
     return pose
 
 
+def _places(image: RangeImage) -> F32:
+    """Return x, y, z, range of each pixel ``(H, W, 4)``; where there is no return it is infinitely far."""
+    places = np.where(image.index >= 0, image.planes[: RANGE + 1], np.float32(np.inf))
+    return np.ascontiguousarray(places.transpose(1, 2, 0))
+
+
 @njit(cache=True)
 def _ask(
-    moved: F32,
-    row: NDArray[np.int32],
-    planes: F32,
+    points: F64,
+    pose: F64,
+    tangent: F64,
+    z0: F64,
+    places: F32,
     groups: F32,
     weight: float,
     total: F32,
     through: NDArray[np.uint8],
 ) -> None:
-    """Add a neighbour's word on each point to ``total`` ``(G + 1, N)``, its last row being the weight, and note
-    whether it saw through the point's place."""
-    _, rows, columns = planes.shape
-    for i in range(len(moved)):
-        if row[i] < 0:
+    """Add a neighbour's word on each point ``(N, 3)`` to ``total`` ``(N, G + 1)``, its last column being the weight,
+    and note whether it saw through the point's place.
+
+    ``pose`` carries points into the neighbour's frame; it has :func:`_places` and ``groups`` ``(H, W, G)``.
+    """
+    rows, columns, count = groups.shape
+    row = 0
+    for i in range(len(points)):
+        p, q, r = points[i, 0], points[i, 1], points[i, 2]
+        x = np.float32(pose[0, 0] * p + pose[0, 1] * q + pose[0, 2] * r + pose[0, 3])
+        y = np.float32(pose[1, 0] * p + pose[1, 1] * q + pose[1, 2] * r + pose[1, 3])
+        z = np.float32(pose[2, 0] * p + pose[2, 1] * q + pose[2, 2] * r + pose[2, 3])
+        row = nearest_cone(x, y, z, tangent, z0, row)
+        if row < 0:
             continue
-        x, y, z = moved[i]
         distance = np.sqrt(x * x + y * y + z * z)
         centre = min(int(0.5 * (1.0 - np.arctan2(y, x) / np.pi) * columns), columns - 1)
-        nearest = np.float32(np.inf)
-        at_row, at_column = -1, -1
-        farther = True
+        left = centre - 1 if centre > 0 else columns - 1
+        right = centre + 1 if centre < columns - 1 else 0
+        # No branches but on the whole: what is seen around a point follows no pattern.
+        nearest = shortest = np.float32(np.inf)
+        at_row, at_column = row, centre
         seen = 0
-        for a in range(max(row[i] - 1, 0), min(row[i] + 1, rows - 1) + 1):
-            for step in range(-1, 2):
-                b = (centre + step) % columns
-                r = planes[RANGE, a, b]
-                if r <= 0:
-                    continue
-                seen += 1
-                if r < distance + _THROUGH + 0.05 * distance:
-                    farther = False
-                dx, dy, dz = planes[0, a, b] - x, planes[1, a, b] - y, planes[2, a, b] - z
+        for a in range(max(row - 1, 0), min(row + 1, rows - 1) + 1):
+            for b in (left, centre, right):
+                dx, dy, dz = places[a, b, 0] - x, places[a, b, 1] - y, places[a, b, 2] - z
                 off = dx * dx + dy * dy + dz * dz
-                if off < nearest:
-                    nearest = off
-                    at_row, at_column = a, b
-        if at_row >= 0 and nearest < (_SAME + 0.01 * distance) ** 2:
-            for group in range(len(groups)):
-                total[group, i] += weight * groups[group, at_row, at_column]
-            total[len(groups), i] += weight
-        elif seen >= 5 and farther:
+                closer = off < nearest
+                nearest = off if closer else nearest
+                at_row = a if closer else at_row
+                at_column = b if closer else at_column
+                shortest = min(shortest, places[a, b, 3])
+                seen += places[a, b, 3] < np.inf
+        if nearest < (_SAME + 0.01 * distance) ** 2:
+            for group in range(count):
+                total[i, group] += weight * groups[at_row, at_column, group]
+            total[i, count] += weight
+        elif seen >= 5 and shortest >= distance + _THROUGH + 0.05 * distance:
             through[i] += 1
 
 
@@ -120,22 +134,23 @@ def agree(
     sensor = load_sensor("hdl64e")
     tangent = np.tan(sensor.theta)
     steps = relative_poses(motions)
+    places = [_places(one.image) for one in found]
+    said = [np.ascontiguousarray(one.groups.transpose(1, 2, 0)) for one in found]
     settled = []
     for here, own in enumerate(found):
         seen = own.image.index >= 0
-        points = own.image.planes[:3, seen].T.astype(np.float64)
-        total = np.concatenate([own.groups[:, seen], np.ones((1, len(points)), np.float32)])
+        points = places[here][seen][:, :3].astype(np.float64)
+        total = np.ones((len(points), len(own.groups) + 1), np.float32)
+        total[:, :-1] = said[here][seen]
         through = np.zeros(len(points), np.uint8)
         for there in range(max(here - REACH, 0), min(here + REACH, len(found) - 1) + 1):
             pose = pose_between(steps, here, there)
             if there == here or pose is None:
                 continue
-            moved = (points @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
-            row = nearest_cones(moved, tangent, sensor.z0)
-            other = found[there]
-            _ask(moved, row, other.image.planes, other.groups, _NEIGHBOUR_WEIGHT, total, through)
+            theirs = places[there], said[there]
+            _ask(points, pose, tangent, sensor.z0, *theirs, _NEIGHBOUR_WEIGHT, total, through)
         groups = own.groups.copy()
-        groups[:, seen] = total[:-1] / total[-1]
+        groups[:, seen] = (total[:, :-1] / total[:, -1:]).T
         if free_space:
             gone = np.zeros(seen.shape, np.bool_)
             gone[seen] = (through >= _LOOKS) & (own.image.planes[HEIGHT, seen] > _ABOVE)

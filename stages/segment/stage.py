@@ -16,7 +16,7 @@ from salpcc.stages.segment.labelling import label_gop
 from salpcc.stages.segment.task import keep, quantise
 from salpcc.stages.segment.to_grid import to_grid
 
-VERSION = 5
+VERSION = 6
 
 
 def run(table: pa.Table, config: RunConfig) -> pa.Table:

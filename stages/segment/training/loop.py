@@ -17,6 +17,7 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.segment.checkpoint import save_weights
 from salpcc.stages.segment.class_shares import training_weights
+from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.network import WIDTHS, SegmentNetwork, for_cpu
 from salpcc.stages.segment.training.labelled import sequence_of
 from salpcc.stages.segment.training.losses import segmentation_loss
@@ -76,10 +77,10 @@ class Trainer:
         return loss.item()
 
     def averaged(self) -> SegmentNetwork:
-        """Return a network with the averaged weights, ready to label."""
+        """Return a network with the averaged weights."""
         network = SegmentNetwork(self.network.config)
         network.load_state_dict(self.average)
-        return for_cpu(network.eval()).to(self.device)
+        return network.eval()
 
     def save(self, path: Path) -> None:
         """Write what :meth:`resume` needs."""
@@ -170,7 +171,7 @@ def train_segment(
         row["seconds"] = time.monotonic() - begun
         network = trainer.averaged()
         if held_out:
-            row |= scores(count_scans(network, held_out, device))
+            row |= scores(count_scans(FusedNetwork(network, device), held_out))
         facts: dict[str, object] = {
             "sequences": sequences,
             "scans": len(refs),

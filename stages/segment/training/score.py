@@ -11,7 +11,7 @@ from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, GROUPS, MOVABLE
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.segment.confusion import UNLABELLED, confusion, intersection_over_union, mean_iou
-from salpcc.stages.segment.network import SegmentNetwork
+from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.segmenter import label_points
 from salpcc.stages.segment.training.labelled import sequence_of
 
@@ -20,13 +20,13 @@ TERRAIN = next(i for i, c in enumerate(CLASSES) if c.name == "terrain")
 TWELVE = tuple(i for i, c in enumerate(CLASSES) if c.group and c.ids)
 
 
-def count_scans(network: SegmentNetwork, refs: Iterable[ScanRef], device: str = "cpu") -> NDArray[np.int64]:
+def count_scans(network: FusedNetwork, refs: Iterable[ScanRef]) -> NDArray[np.int64]:
     """Return the confusion matrix ``(21, 21)`` of all points of the scans, truth by row."""
     counts = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
     for ref in refs:
         scan = SemanticKitti().read(ref, with_labels=True)
         assert scan.classes is not None
-        found = label_points(network, scan.points, scan.intensity, device)
+        found = label_points(network, scan.points, scan.intensity)
         known = scan.classes != UNLABELLED
         counts += confusion(scan.classes[known], found[known], len(CLASSES))
     return counts
@@ -61,7 +61,7 @@ def scores(counts: NDArray[np.int64]) -> dict[str, float]:
     }
 
 
-def score_table(network: SegmentNetwork, refs: Sequence[ScanRef], device: str = "cpu") -> Iterator[str]:
+def score_table(network: FusedNetwork, refs: Sequence[ScanRef]) -> Iterator[str]:
     """Score scan by scan and yield lines of a table, the last of them for all scans together.
 
     Each scan by itself, without what its neighbours see.
@@ -70,7 +70,7 @@ def score_table(network: SegmentNetwork, refs: Sequence[ScanRef], device: str = 
     yield "  ".join(["scan".ljust(12), *columns])
     counts = []
     for ref in refs:
-        counts.append(count_scans(network, [ref], device))
+        counts.append(count_scans(network, [ref]))
         yield _line(f"{sequence_of(ref)}/{ref.name}", columns, counts[-1])
     total = np.sum(counts, axis=0)
     yield _line("all", columns, total)

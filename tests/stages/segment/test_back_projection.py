@@ -14,7 +14,7 @@ def test_shown_points_take_their_pixel_and_hidden_ones_their_like() -> None:
     image = project(points, np.zeros(len(points), np.float32))
     truth = np.repeat([1, 13, 0], [len(car), len(wall), 1])
     classes = np.where(image.index >= 0, truth[image.index], 0).astype(np.uint8)
-    found = classes_of_points(image, classes, points)
+    found = classes_of_points(image, classes)
     hidden = np.setdiff1d(np.arange(len(points)), image.index)
     assert (truth[hidden] == 13).sum() > 20
     assert (found == truth)[np.setdiff1d(np.arange(len(points)), hidden)].all()
@@ -33,4 +33,4 @@ def test_the_seam_is_no_border() -> None:
     classes[image.row[0], image.column[0]] = 1
     classes[image.row[1], image.column[1]] = 13
     assert image.column.tolist() == [0, COLUMNS - 1, 0]
-    assert classes_of_points(image, classes, points).tolist() == [1, 13, 13]
+    assert classes_of_points(image, classes).tolist() == [1, 13, 13]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from salpcc.stages.segment.checkpoint import load_weights, save_weights
+from salpcc.stages.segment.checkpoint import load_cached, load_weights, save_weights
 from salpcc.stages.segment.inputs import network_input, stack
 from salpcc.stages.segment.network import WIDTHS, NetworkConfig, SegmentNetwork, fold_columns, unfold_columns
 from salpcc.stages.segment.point_branch import PointBranch
@@ -88,7 +88,7 @@ def test_wrong_weights_are_refused(tiny: SegmentNetwork, tmp_path: Path, monkeyp
 def test_half_a_millimetre_of_noise_changes_little(make_scan) -> None:
     from salpcc.stages.segment.segmenter import label_points
 
-    network, _ = load_weights(weights_path("small"))
+    network = load_cached(weights_path("small"))
     scan = make_scan()
     noise = np.random.default_rng(0).uniform(-5e-4, 5e-4, scan.points.shape).astype(np.float32)
     first = label_points(network, scan.points, scan.intensity)

@@ -9,13 +9,23 @@ def _cloud(count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).normal(0, 10, (count, 3)).astype(np.float32)
 
 
+def _farthest_by_definition(points: np.ndarray, count: int) -> list[int]:
+    chosen = [0]
+    while len(chosen) < count:
+        steps = points[:, None] - points[chosen]
+        distance = (steps[..., 0] ** 2 + steps[..., 1] ** 2 + steps[..., 2] ** 2).min(1)
+        chosen.append(int(distance.argmax()))
+    return chosen
+
+
 def test_farthest_points_against_the_definition() -> None:
     points = _cloud(300)
-    chosen = [0]
-    while len(chosen) < 40:
-        distance = ((points[:, None] - points[chosen]) ** 2).sum(-1).min(1)
-        chosen.append(int(distance.argmax()))
-    assert farthest_points(points, 40).tolist() == chosen
+    assert farthest_points(points, 40).tolist() == _farthest_by_definition(points, 40)
+    # Twins and a lattice: ties, which the lower place wins; and all points of some buckets taken.
+    twins = np.concatenate([points, points[::-1]])
+    assert farthest_points(twins, 300).tolist() == _farthest_by_definition(twins, 300)
+    lattice = np.stack(np.meshgrid(*[np.arange(8)] * 3), -1).reshape(-1, 3).astype(np.float32)
+    assert farthest_points(lattice, 512).tolist() == _farthest_by_definition(lattice, 512)
 
 
 def test_farthest_points_are_nested_and_forget_where_they_are() -> None:
@@ -56,3 +66,12 @@ def test_sets_of_an_image() -> None:
 def test_few_points_are_enough() -> None:
     sets = sample(_cloud(1), _cloud(3), 64, np.random.default_rng(0))
     assert sets.source.max() == 0 and np.isfinite(sets.pixel_weights).all()
+
+
+def test_queries_that_nobody_asks_weigh_nothing() -> None:
+    points, queries = _cloud(3000), _cloud(100, 3)
+    asked = np.arange(100) % 3 > 0
+    some, every = sample(points, queries, 64, asked=asked), sample(points, queries, 64)
+    assert not some.pixel_weights[~asked].any()
+    assert (some.pixel_weights[asked] == every.pixel_weights[asked]).all()
+    assert (some.pixel_parents[asked] == every.pixel_parents[asked]).all()

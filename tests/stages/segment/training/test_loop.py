@@ -13,6 +13,7 @@ from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.segment import network
 from salpcc.stages.segment.checkpoint import load_weights
 from salpcc.stages.segment.class_shares import training_weights
+from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.network import NetworkConfig
 from salpcc.stages.segment.segmenter import label_points
 from salpcc.stages.segment.training.donors import simulated_donors
@@ -53,7 +54,7 @@ def test_training_learns_and_leaves_weights(street: Path, tmp_path: Path) -> Non
     trained, facts = load_weights(path)
     assert facts["sequences"] == ["00"] and facts["step"] == 24 and 0 <= facts["ground"] <= 1
     points = np.random.default_rng(0).normal(0, 10, (200, 3)).astype(np.float32)
-    assert len(label_points(trained, points, np.zeros(200, np.float32))) == 200
+    assert len(label_points(FusedNetwork(trained), points, np.zeros(200, np.float32))) == 200
 
 
 def test_a_checkpoint_goes_on(street: Path, tmp_path: Path) -> None:
