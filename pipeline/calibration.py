@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError, SourceError, UsageError
 from salpcc.schemas.scan import Scan
@@ -19,7 +18,6 @@ from salpcc.stages.lattice.find_lasers import Listed
 from salpcc.stages.lattice.motion_search import is_raw, solve_motion
 from salpcc.stages.lattice.untwist import untwist
 
-_RING_FIELDS = ("ring", "channel", "laser_id", "line")
 _LEAST_FOR_MOTION = 200
 
 
@@ -139,17 +137,8 @@ def listed_of(scan: Scan) -> Listed:
     if cloud is None:
         return Listed(points)
     layout = cloud.layout
-    field = next((c for c in layout.columns if c.name in _RING_FIELDS), None)
-    ring = None if field is None else _whole(cloud.values(field))
+    ring = cloud.rings()
     return Listed(points, ring, layout.width if cloud.whole and layout.height > 1 else 0)
-
-
-def _whole(values: NDArray[np.generic]) -> NDArray[np.int64] | None:
-    """Ring numbers as integers; None where they are no such thing."""
-    numbers = values.astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        sound = (numbers == np.rint(numbers)) & (numbers >= 0) & (numbers < 4096)
-    return numbers.astype(np.int64) if sound.all() else None
 
 
 def _spread(things: list[Any], at_most: int) -> list[Any]:

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.cloud_layout import Field, Layout, read_layout
 
+_MOST_RINGS = 4096
+RING_FIELDS = ("ring", "channel", "laser_id", "line")  # names that drivers give to the number of the laser
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
@@ -48,6 +51,16 @@ class Cloud:
         if kept.all():
             return self
         return replace(self, rest=self.rest[kept], loose=b"", whole=False)
+
+    def rings(self) -> NDArray[np.int64] | None:
+        """The sensor's own laser numbers ``(N,)``, 0 to 4095; None where the message has no such field."""
+        field = next((c for c in self.layout.columns if c.name in RING_FIELDS), None)
+        if field is None:
+            return None
+        numbers = self.values(field).astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            sound = (numbers == np.rint(numbers)) & (numbers >= 0) & (numbers < _MOST_RINGS)
+        return numbers.astype(np.int64) if sound.all() else None
 
     def values(self, column: Field) -> NDArray[np.generic]:
         """Values ``(N,)`` of one of the layout's columns, native byte order."""

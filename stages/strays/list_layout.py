@@ -34,7 +34,14 @@ def likely_layouts(points: NDArray[np.float32], lanes: bool) -> list[Layout]:
     return [*found, (0, 1)] if lanes else found
 
 
-def find_layout(points: NDArray[np.float32], form: int, per: float, step: float, tolerance: float) -> Layout:
+def find_layout(
+    points: NDArray[np.float32],
+    form: int,
+    per: float,
+    step: float,
+    tolerance: float,
+    lanes: NDArray[np.uint8] | None = None,
+) -> Layout:
     """Return (left, up) of the points ``(S, 3)`` that codes them in the fewest bytes, of a few likely ones.
 
     ``tolerance`` as for :func:`ray_stream.move_points`. Points that were moved once by a layout come out best by the same, as
@@ -45,11 +52,12 @@ def find_layout(points: NDArray[np.float32], form: int, per: float, step: float,
     if len(candidates) == 1 or len(points) < _FEW:
         return 1, 0
     part = np.ascontiguousarray(points[:_TRIED])
+    some = None if lanes is None else lanes[:_TRIED]
     out = np.empty(16 * len(part) + 4096, np.uint8)
     sizes = []
     for layout in candidates:
-        moved = move_points(part, layout, form, per, step, tolerance)[0]
-        sizes.append(write_points(moved, layout, form, per, step, out))
+        moved = move_points(part, layout, form, per, step, tolerance, some)[0]
+        sizes.append(write_points(moved, layout, form, per, step, out, some))
     best = int(np.argmin(sizes))
     return candidates[best] if sizes[best] < _BETTER * sizes[0] else candidates[0]
 

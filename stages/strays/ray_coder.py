@@ -9,7 +9,7 @@ The ray is the left point turned by as much as the neighbour turned; the distanc
 left, upper and upper left points. What is coded is the difference from the guess, in one of three forms:
 
 * ``ALONG``: steps along the ray and across it; the point moves to where they lead (an error is asked for);
-* ``GRID``: whole numbers of a decimal unit per coordinate; ``BITS``: ordered float32 bits per coordinate. The coordinate
+* ``GRID``: whole numbers of a decimal unit per coordinate; ``BITS``, ``HALVES``: ordered float32 or float16 bits per coordinate. The coordinate
   in which the ray points comes first; the other two are guessed again from it.
 
 The decoder repeats all of this, hence only ``+ - * /`` and square roots on float64, in a fixed order.
@@ -35,6 +35,7 @@ from salpcc.stages.strays.ray_forms import (
     BITS,
     FAR,
     GRID,
+    HALVES,
     SPREADS,
     bucket_of,
     coordinate_of,
@@ -205,7 +206,7 @@ def code_points(  # type: ignore[no-untyped-def]
             whole = whole_of(r * along, form, per)
             if way != READ:
                 numbers[0] = whole_of(points[i, axis], form, per) - whole
-            unit = 1.0 / per if form == GRID else r * 1.2e-7
+            unit = 1.0 / per if form == GRID else r * (1e-3 if form == HALVES else 1.2e-7)
         if way != MOVE:
             numbers[0] = code_number(
                 writing, state, data, of_spread, bucket_of(spread, unit),

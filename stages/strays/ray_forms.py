@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-ALONG, GRID, BITS = 0, 1, 2
+ALONG, GRID, BITS, HALVES = 0, 1, 2, 4  # 3 is another's
+_HALF_BITS = 13  # that float16 values have less than float32
 SPREADS = 64
 FAR = 1e6  # metres
 
@@ -23,11 +24,12 @@ def bucket_of(value: float, unit: float) -> int:
 
 @njit(cache=True, error_model="numpy")
 def whole_of(value: float, form: int, per: float) -> int:
-    """Coordinate as a whole number: of units, or the ordered bits of its float32."""
+    """Coordinate as a whole number: of units, or the ordered bits of its float32 or float16."""
     if form == GRID:
         return np.int64(np.rint(min(max(value, -FAR), FAR) * per))
     bits = np.int64(np.float32(value).view(np.int32))
-    return bits ^ 0x7FFFFFFF if bits < 0 else bits
+    whole = bits ^ 0x7FFFFFFF if bits < 0 else bits
+    return (whole + (1 << (_HALF_BITS - 1))) >> _HALF_BITS if form == HALVES else whole
 
 
 @njit(cache=True, error_model="numpy")
@@ -35,6 +37,8 @@ def coordinate_of(whole: int, form: int, per: float) -> np.float32:
     """Inverse of :func:`whole_of`."""
     if form == GRID:
         return np.float32(whole / per)
+    if form == HALVES:
+        whole = (whole << _HALF_BITS) - np.int64(whole < 0)
     bits = min(max(whole, -(1 << 31)), (1 << 31) - 1)
     return np.int32(bits ^ 0x7FFFFFFF if bits < 0 else bits).view(np.float32)
 

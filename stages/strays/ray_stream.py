@@ -26,16 +26,25 @@ from salpcc.stages.strays.ray_forms import FAR
 
 
 def move_points(
-    points: F32, layout: Layout, form: int, per: float, step: float, tolerance: float
+    points: F32,
+    layout: Layout,
+    form: int,
+    per: float,
+    step: float,
+    tolerance: float,
+    lanes: Kinds | None = None,
 ) -> tuple[F32, Kinds, Kinds]:
-    """Return where points ``(S, 3)`` decode to, at most ``tolerance`` metres away, their kinds and lanes."""
+    """Return where points ``(S, 3)`` decode to, at most ``tolerance`` metres away, their kinds and lanes ``(S,)``, guessed if not given."""
     bits = np.ascontiguousarray(points).view(np.int32)
     with np.errstate(invalid="ignore"):
         kinds = np.where((np.abs(points) < FAR).all(axis=1), NORMAL, LOOSE).astype(np.uint8)
     kinds[(bits == 0).all(axis=1)] = ZERO
     kinds[(bits == NAN_BITS).all(axis=1)] = NAN
     moved = points.copy()
-    lanes = find_lanes(points) if layout[0] == 0 else np.zeros(1, np.uint8)
+    if layout[0] > 0:
+        lanes = np.zeros(1, np.uint8)
+    elif lanes is None:
+        lanes = find_lanes(points)
     unread = np.zeros(1, np.uint8)
     code_points(
         MOVE, moved, kinds, lanes, *layout, form, float(per), float(step), float(tolerance),
@@ -45,10 +54,16 @@ def move_points(
 
 
 def write_points(
-    points: F32, layout: Layout, form: int, per: float, step: float, out: NDArray[np.uint8]
+    points: F32,
+    layout: Layout,
+    form: int,
+    per: float,
+    step: float,
+    out: NDArray[np.uint8],
+    lanes: Kinds | None = None,
 ) -> int:
     """Write points exactly; return the bytes written to ``out``, -1 if full."""
-    moved, kinds, lanes = move_points(points, layout, form, per, step, 0.0)
+    moved, kinds, lanes = move_points(points, layout, form, per, step, 0.0, lanes)
     state = start_encoder()
     code_points(
         WRITE, moved, kinds, lanes, *layout, form, float(per), float(step), 0.0, new_models(), state, out

@@ -22,13 +22,14 @@ from salpcc.stages.strays.aimed_stream import Aimed, Way
 from salpcc.stages.strays.aimed_symbols import OFF
 from salpcc.stages.strays.list_layout import find_layout
 from salpcc.stages.strays.ray_coder import F32, Layout
-from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID
+from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID, HALVES
 from salpcc.stages.strays.ray_stream import move_points, read_points, write_points
 
 AIMED = 3  # the form after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
+_FEWEST = 500  # points that lanes which are told are worth it for
 _HOPELESS = 8  # bytes a point
 _NO_DOUBT = 0.98  # of the points on the lattice; with fewer, rays are tried, too
 
@@ -51,7 +52,8 @@ def _form(points: F32, max_error: float) -> tuple[int, int, float]:
         same = (np.rint(sample * per) / per).astype(np.float32) == sample
         if len(sample) and same.all(axis=1).mean() > _ON_GRID:
             return GRID, per, 0.0
-    return BITS, 1, 0.0
+    halves = sample.astype(np.float32).view(np.int32) & 0x1FFF == 0
+    return (HALVES if len(sample) and halves.all(axis=1).mean() > _ON_GRID else BITS), 1, 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,7 @@ class Plan:
     step: float
     sensor: SensorModel | None = None
     chosen: tuple[Way, Aimed] | None = None
+    lanes: NDArray[np.uint8] | None = None
 
     @property
     def share(self) -> float:
@@ -79,6 +82,7 @@ def plan(
     sensor: SensorModel | None = None,
     motion: Motion = None,
     settled: bool = True,
+    lanes: NDArray[np.uint8] | None = None,
 ) -> Plan:
     """Plan how to encode points ``(S, 3)``.
 
@@ -86,15 +90,18 @@ def plan(
         sensor: whose lattice the points may lie on.
         motion: by place in the list, that moved them off it (:mod:`salpcc.stages.lattice.list_motion`).
         settled: they were snapped, if need be, and no bit may change.
+        lanes: the laser of each ``(S,)``, where the sensor tells; a guess will do.
     """
+    lanes = lanes if len(points) >= _FEWEST else None
     points = np.ascontiguousarray(points)
     form, per, step = _form(points, max_error)
-    chosen = choose(points, form, per, max_error, sensor, motion, settled) if sensor is not None else None
-    aimed = chosen and Plan(points, max_error, chosen[0].layout, form, per, step, sensor, chosen)
+    fix = BITS if form == HALVES else form
+    chosen = choose(points, fix, per, max_error, sensor, motion, settled) if sensor is not None else None
+    aimed = chosen and Plan(points, max_error, chosen[0].layout, fix, per, step, sensor, chosen, lanes)
     if aimed and (settled or aimed.share >= _NO_DOUBT):
         return aimed
-    layout = find_layout(points, form, per, step, 0.0 if settled else max_error)
-    rays = Plan(points, max_error, layout, form, per, step)
+    layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes)
+    rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
     return min(aimed, rays, key=_size) if aimed else rays
 
 
@@ -135,16 +142,18 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
 
     body = write_body(found.chosen, found.points, found.sensor, rest)
     if body is None:
-        return _on_rays(plan(found.points, found.max_error), first)
+        return _on_rays(plan(found.points, found.max_error, lanes=found.lanes), first)
     coded = _HEAD.pack(len(first), AIMED, *way.layout, found.per) + first + body
     if found.share >= _NO_DOUBT or found.form == ALONG:
         return coded
-    return min(coded, _on_rays(plan(found.points, found.max_error), first), key=len)
+    return min(coded, _on_rays(plan(found.points, found.max_error, lanes=found.lanes), first), key=len)
 
 
 def _on_rays(found: Plan, first: bytes) -> bytes:
     points, form, per, layout = found.points, found.form, found.per, found.layout
-    body = run_encoder(lambda out: write_points(points, layout, form, per, found.step, out), 4 * len(points))
+    body = run_encoder(
+        lambda out: write_points(points, layout, form, per, found.step, out, found.lanes), 4 * len(points)
+    )
     if form == ALONG and len(body) > _HOPELESS * len(points):  # points that were moved by another layout
         form = BITS
         body = run_encoder(lambda out: write_points(points, layout, BITS, per, 0.0, out), 4 * len(points))
@@ -165,7 +174,7 @@ def decode_strays(
     first, form, left, up, per = _HEAD.unpack(data[: _HEAD.size].tobytes())
     begin = _HEAD.size + first
     step = ray_step(max_error)
-    known = form <= BITS or (form == AIMED and sensor is not None)
+    known = form <= BITS or form == HALVES or (form == AIMED and sensor is not None)
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))

@@ -91,7 +91,7 @@ def encode_scan(
     else:
         streams += [b"", b""]
     moved = sweep.motion if n == 0 else None  # of points without a lattice, by their place in the list
-    strays = plan(sweep.stray_points[:, :3], sweep.max_error, sensor, moved)
+    strays = plan(sweep.stray_points[:, :3], sweep.max_error, sensor, moved, lanes=_lanes(sweep))
     layout = strays.layout
     streams.append(encode_strays(sweep.stray_index, strays))
     levels = intensity_levels(sweep.intensity)
@@ -127,6 +127,12 @@ def encode_scan(
         sweep.max_error, reach[0], reach[1], content_crc(sweep), values.weights, sweep.motion,
     )  # fmt: skip
     return pack(header, streams)
+
+
+def _lanes(sweep: Sweep) -> Array | None:
+    """The lasers of the strays ``(S,)`` as their message tells them, if it does."""
+    rings = None if sweep.cloud is None else sweep.cloud.rings()
+    return None if rings is None or rings.max(initial=0) > 255 else rings[sweep.stray_index].astype(np.uint8)
 
 
 def _corrections(
