@@ -23,6 +23,7 @@ def inspect_archive(path: Path) -> dict[str, Any]:
     """Describe an archive: its facts, its totals, and a row per scan."""
     reader = ArchiveReader(path)
     facts = reader.facts
+    first, last = reader.span
     scans = [{"gop": number, **vars(entry)} for number, gop in enumerate(reader.gops) for entry in gop]
     counts = [name for name in ScanEntry.__dataclass_fields__ if name != "name"]
     return {
@@ -37,6 +38,9 @@ def inspect_archive(path: Path) -> dict[str, Any]:
         "scans": len(scans),
         "bytes": reader.size,
         "bytes_container": reader.container_bytes,
+        "bytes_passing": reader.passing_bytes,
+        "seconds": (last - first) / 1e9,
+        "topics": sorted({channel.topic for channel in reader.log.values()}),
         "totals": {name: sum(scan[name] for scan in scans) for name in counts},
         "rows": scans,
     }

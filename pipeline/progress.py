@@ -9,7 +9,6 @@ from typing import Protocol
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     SpinnerColumn,
     TextColumn,
@@ -54,15 +53,23 @@ class _Bar:
 
 
 @contextmanager
-def bar(total: int, dashboard: str) -> Iterator[Report]:
-    """Show a bar over ``total`` steps (scans times passes) and the link of the Dask dashboard."""
-    STDERR.print(f"dashboard {dashboard}", style="dim", soft_wrap=True)
+def starting() -> Iterator[None]:
+    """Turn a wheel while libraries are loaded."""
+    with STDERR.status("starting"):
+        yield
+
+
+@contextmanager
+def bar(total: int, unit: str) -> Iterator[Report]:
+    """Show a bar over ``total`` steps (scans times passes) of a ``unit``, such as "scans coded or measured"."""
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
+        BarColumn(20),
+        TextColumn(f"{{task.completed:.0f}} of {{task.total:.0f}} {unit},"),
         TimeRemainingColumn(),
+        TextColumn("left"),
     )
-    with Progress(*columns, console=STDERR) as progress:
+    # The speed of all of the run: what is left goes down, and does not jump with each group.
+    with Progress(*columns, console=STDERR, speed_estimate_period=float("inf")) as progress:
         yield _Bar(progress, total)

@@ -84,9 +84,10 @@ def run_sequences(request: RunRequest) -> RunResult:
             _simulate(root, request.sequences, config, request.quiet)
             plans, missing = plan_run(root, request.sequences, config, request.out)
         ShardStore(request.out).sweep()
+        watcher = stack.enter_context(_watch(request, plans))
         client = stack.enter_context(connect(request.workers, request.scheduler))
         check_device(client, config.device)
-        watcher = stack.enter_context(_watch(request, plans, client.dashboard_link))
+        watcher.say(f"dashboard {client.dashboard_link}")
         for error in missing:
             watcher.say(error.reason)
         outcomes = Graph(client, config, request.out, request.graph, watcher).run(plans)
@@ -118,11 +119,15 @@ def _simulate(root: Path, sequences: list[str], config: RunConfig, quiet: bool) 
         Simulated().make(root, sequence, scans, config.sensor)
 
 
-def _watch(request: RunRequest, plans: list[SequencePlan], dashboard: str) -> AbstractContextManager[Report]:
+def _watch(request: RunRequest, plans: list[SequencePlan]) -> AbstractContextManager[Report]:
     if request.quiet:
         return nullcontext(Silent())
-    passes = 2 if request.graph.reaches("evaluate") else 1
-    return bar(passes * sum(plan.n_scans for plan in plans), dashboard)
+    scans = sum(plan.n_scans for plan in plans)
+    return (
+        bar(2 * scans, "scans coded or measured")
+        if request.graph.reaches("evaluate")
+        else bar(scans, "scans")
+    )
 
 
 def _gather(

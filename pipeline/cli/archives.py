@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
+from salpcc.pipeline.cli.described import show_archive, show_shard
 from salpcc.pipeline.cli.run_sequences import PLACE, parse_frames
 from salpcc.pipeline.machine import cores
 from salpcc.pipeline.progress import STDERR
@@ -169,6 +169,7 @@ def inspect(
             parser=location, metavar="ARCHIVE|SHARD", help="An archive (.mcap) or a shard (.arrow)."
         ),
     ],
+    scans: Annotated[bool, typer.Option("--scans", help="Show a row for every scan.")] = False,
     json_: Json = False,
 ) -> None:
     """Show what is in an archive or a shard, without decoding it."""
@@ -178,12 +179,7 @@ def inspect(
     if json_:
         typer.echo(json.dumps(found, indent=1, default=str))
         return
-    console = Console()
-    for key, value in found.items():
-        if key not in ("rows", "columns"):
-            console.print(f"{key}: {value}", highlight=False, soft_wrap=True)
-    rows = found["rows"]
-    table = Table(*(rows[0] if rows else ()))
-    for row in rows:
-        table.add_row(*(str(value) for value in row.values()))
-    console.print(table)
+    if found["kind"] == "shard":
+        show_shard(found, Console())
+    else:
+        show_archive(found, Console(), scans)

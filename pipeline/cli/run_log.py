@@ -104,12 +104,14 @@ def log(
 ) -> None:
     """Encode the point clouds of a log, keep its other topics as they are, measure, and write a report."""
     require("run", "run")
-    from salpcc.pipeline.choose_sensor import AUTO, choose_sensor
-    from salpcc.pipeline.progress import STDERR
-    from salpcc.pipeline.run import RunRequest
-    from salpcc.schemas.file_kind import kind_of
-    from salpcc.stages.evaluate.baselines import names as baseline_names
-    from salpcc.stages.ingest.sources.bag import Bag
+    from salpcc.pipeline.progress import STDERR, starting
+
+    with starting():
+        from salpcc.pipeline.choose_sensor import AUTO, choose_sensor
+        from salpcc.pipeline.run import RunRequest
+        from salpcc.schemas.file_kind import kind_of
+        from salpcc.stages.evaluate.baselines import names as baseline_names
+        from salpcc.stages.ingest.sources.bag import Bag
 
     if not file.exists():
         raise UsageError(f"{file}: not found. {Bag.hint}")

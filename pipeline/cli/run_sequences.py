@@ -7,6 +7,7 @@ import re
 import shlex
 import shutil
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +17,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.cli.summary import summary
+from salpcc.pipeline.progress import STDERR, starting
 from salpcc.schemas.config import UNBOUNDED, Coder, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
@@ -227,9 +229,10 @@ def sequences(
 ) -> None:
     """Encode sequences of scans, decode them again, measure, and write a report."""
     require("run", "run")
-    from salpcc.pipeline.run import RunRequest
-    from salpcc.stages.evaluate.baselines import names as baseline_names
-    from salpcc.stages.ingest.sources import SOURCES
+    with starting():
+        from salpcc.pipeline.run import RunRequest
+        from salpcc.stages.evaluate.baselines import names as baseline_names
+        from salpcc.stages.ingest.sources import SOURCES
 
     if source not in SOURCES:
         raise UsageError(f"--source {source}: choose from {', '.join(SOURCES)}")
@@ -315,13 +318,14 @@ def execute(request: RunRequest, json_: bool) -> None:
     """Run, print what it gave, leave with its exit code."""
     from salpcc.pipeline.run import run_sequences
 
+    start = time.monotonic()
     result = run_sequences(request)
-    _show(result, request.out, json_)
+    _show(result, request.out, json_, request.sequences, time.monotonic() - start)
     raise typer.Exit(1 if result.failed else 0)
 
 
-def _show(result: RunResult, out: Path, json_: bool) -> None:
-    """Print what a run gave."""
+def _show(result: RunResult, out: Path, json_: bool, names: list[str], seconds: float) -> None:
+    """Print what a run of the sequences ``names`` gave."""
     for error in result.errors:
         STDERR.print(f"failed: {error.sequence}/{error.scan}: {error.reason}", soft_wrap=True, markup=False)
     if result.report is None:
@@ -347,6 +351,9 @@ def _show(result: RunResult, out: Path, json_: bool) -> None:
     for name, figures in result.report["sequences"].items():
         table.add_row(name, *_cells(figures))
     console.print(table)
+    mine = [figures for name, figures in result.report["sequences"].items() if name in names]
+    for line in summary(mine, seconds):
+        console.print(line, highlight=False, soft_wrap=True)
     console.print(f"archives: {out / 'archives'}\nreport: {out / 'report' / 'index.html'}", soft_wrap=True)
 
 

@@ -66,7 +66,7 @@ def localise(request: LocaliseRequest) -> pa.Table:
         ShardStore(request.out).sweep()
         client = stack.enter_context(connect(request.workers, request.scheduler))
         steps = sum(len(s.pairs) for s in stretches)
-        watch = nullcontext(Silent()) if request.quiet else bar(steps, client.dashboard_link)
+        watch = nullcontext(Silent()) if request.quiet else bar(steps, "pairs registered")
         report: Report = stack.enter_context(watch)
         for reader in (reader for readers in by_sequence.values() for reader in readers):
             if not reader.has_classes:

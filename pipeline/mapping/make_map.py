@@ -57,7 +57,7 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         store.sweep()
         client = stack.enter_context(connect(request.workers, request.scheduler))
         steps = (3 if refs is not None else 2) * plan.n_scans
-        watch = nullcontext(Silent()) if request.quiet else bar(steps, client.dashboard_link)
+        watch = nullcontext(Silent()) if request.quiet else bar(steps, "scans placed or built")
         report: Report = stack.enter_context(watch)
         unclassified = _unclassified(request)
         if unclassified:

@@ -135,6 +135,13 @@ class ArchiveReader:
         return any(entry.classes for gop in self.gops for entry in gop)
 
     @property
+    def span(self) -> tuple[int, int]:
+        """Time stamps of the first and the last scan, ns; zeros where there are none."""
+        chunks = self._chunks.values()
+        first = min((chunk.message_start_time for chunk in chunks), default=0)
+        return first, max((chunk.message_end_time for chunk in chunks), default=0)
+
+    @property
     def passing_bytes(self) -> int:
         """Bytes of the file that hold what passed through."""
         chunks = sum(chunk.chunk_length + chunk.message_index_length for chunk in self._passing)

@@ -1,6 +1,7 @@
 """The command line as users meet it: output, exit codes, one-line errors."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -37,6 +38,44 @@ def test_run_prints_the_report_as_json_and_nothing_else(toy_root: Path, tmp_path
     assert [report["sequences"][name]["bit_exact_scans"] for name in ("00", "01")] == [5, 3]
     assert report["errors"] == []
     assert "dashboard http" in result.stderr
+
+
+def test_run_says_what_it_came_to(toy_root: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = cli("run", "sequences", "01", "--root", toy_root, "--out", out, "--keep-movable", "--workers", 0,
+                 "--effort", "fast")  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert all(len(line) <= 80 for line in lines if str(out) not in line)
+    ratio, exact, kept, speed, codec = lines[-7:-2]
+    assert re.fullmatch(r"\d+\.\d : 1, [\d.]+ kB to [\d.]+ kB, [\d.]+ bits a point", ratio)
+    assert exact == "every bit of every point that is kept came back" and "points, all kept" in kept
+    assert re.match(r"3 scans in [\d.]+ s, [\d.e-]+ a second", speed)
+    assert re.fullmatch(r"the codec on one core: \d+ ms to code a scan, \d+ ms to decode it", codec)
+    assert str(out / "archives") in lines[-2] and str(out / "report" / "index.html") in lines[-1]
+    assert "6 of 6 scans coded or measured" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("golden", "words"),
+    [
+        ("fast_exact.mcap", ["bit-exact", "effort fast", "hdl64e, 64 lasers"]),
+        ("default_10mm.mcap", ["no point farther than 10 mm"]),
+        ("log/log.mcap", ["3 topics", "/organised, /texts, /wide", "other topics"]),
+        ("nets/paper_ppmd_dropped.mcap", ["ranges in steps of 5 mm", "99 that can move dropped"]),
+    ],
+)
+def test_inspect_fits_a_terminal(golden: str, words: list[str]) -> None:
+    path = Path(__file__).parents[2] / "golden" / golden
+    for options in ([], ["--scans"]):
+        result = cli("inspect", path, *options)
+        assert result.returncode == 0, result.stderr
+        shown = result.stdout
+        assert all(len(line) <= 80 for line in shown.splitlines() if str(path.parent) not in line)
+        assert all(word in " ".join(shown.split()) for word in words)
+        assert "where the bits are" in shown and " : 1, " in shown and not set("{}[]") & set(shown)
+        groups = "each decodes alone" in shown
+        assert groups != bool(options)
 
 
 def test_run_decode_verify_give_the_files_back(done: Path, toy_root: Path, tmp_path: Path) -> None:

@@ -1,0 +1,55 @@
+"""What a run gave, in a few lines for the screen: how much smaller, how exact, what is kept, how long, where it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from statistics import median
+from typing import Any
+
+from rich.filesize import decimal
+
+RAW = 16  # bytes of a point as four float32
+
+
+def smaller(points: int, coded: int) -> str:
+    """How many times smaller an archive is than its points as float32 x, y, z, intensity, and both sizes."""
+    raw = RAW * points
+    return f"{raw / coded if coded else 0:.1f} : 1, {decimal(raw)} to {decimal(coded)}"
+
+
+def summary(sequences: Iterable[dict[str, Any]], seconds: float) -> Iterator[str]:
+    """Yield the lines about the sequences of one run.
+
+    Args:
+        sequences: their figures, as in report.json.
+        seconds: that the run took.
+    """
+    figures = list(sequences)
+
+    def total(key: str) -> int:
+        return sum(one[key] for one in figures)
+
+    points, scans, exact = total("points_in"), total("frames"), total("bit_exact_scans")
+    coded = sum(one["bytes"]["total"] for one in figures)
+    if not points:
+        yield f"{scans} scans without a point, {decimal(coded)}"
+        return
+    yield f"{smaller(points, coded)}, {8 * coded / points:.2f} bits a point"
+    errors = [one["max_error_m"] for one in figures if one["max_error_m"] is not None]
+    if exact == scans:
+        yield "every bit of every point that is kept came back"
+    elif errors:
+        yield f"no point came back farther than {1e3 * max(errors):.2f} mm from its source"
+    dropped, lost = total("points_dropped_movable"), total("points_lost")
+    kept = (
+        f"{points:,} points, all kept" if not dropped + lost else f"{points - dropped - lost:,} points kept"
+    )
+    kept += f", {dropped:,} that can move dropped ({100 * dropped / points:.1f} %)" if dropped else ""
+    yield kept + (f", {lost:,} lost in the grid ({100 * lost / points:.1f} %)" if lost else "")
+    yield f"{scans:,} scans in {seconds:.1f} s, {scans / seconds:.3g} a second, with all that is around the codec"
+    code, back = (
+        [one[key] for one in figures if one[key] is not None]
+        for key in ("encode_ms_per_scan", "decode_ms_per_scan")
+    )
+    if code and back:
+        yield f"the codec on one core: {median(code):.0f} ms to code a scan, {median(back):.0f} ms to decode it"
