@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import SourceError
+from salpcc.schemas.errors import LogWarning, SourceError
 from salpcc.stages.ingest.sources.bag import Bag
 from salpcc.stages.lattice.aim import share_on
 from salpcc.stages.lattice.sensor_model import SENSORS, load_sensor
@@ -18,16 +19,21 @@ _CLOUDS = 2  # of each topic
 _LEAST = 0.5  # of the returns that must lie on the lattice
 
 
-def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> tuple[str, float]:
+def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> tuple[str, float | None]:
     """Return the name of the shipped model on whose lattice most returns of the first clouds lie, and their share.
 
-    OTHERWISE, and 0, where no model holds for half of them.
+    OTHERWISE, and 0, where no model holds for half of them; None where nothing can be read: the run will say why, and
+    what of the log stays behind.
     """
-    clouds = _first_clouds(log, sequence, topics)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)
+        clouds = _first_clouds(log, sequence, topics)
+    if not clouds:
+        return OTHERWISE, None
     best = OTHERWISE, 0.0
     for file in sorted(SENSORS.glob("*.json")):
         sensor = load_sensor(file.stem)
-        share = float(np.mean([share_on(sensor, points) for points in clouds])) if clouds else 0.0
+        share = float(np.mean([share_on(sensor, points) for points in clouds]))
         if share > max(best[1], _LEAST):
             best = file.stem, share
     return best

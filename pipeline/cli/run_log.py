@@ -130,7 +130,8 @@ def log(
             if share
             else f"sensor: no shipped model fits; `salpcc-pipeline calibrate {file} --out sensor.json` may find one"
         )
-        STDERR.print(told, soft_wrap=True, markup=False, style="dim")
+        if share is not None:
+            STDERR.print(told, soft_wrap=True, markup=False, style="dim")
     config = config_of(
         source=Bag.name,
         max_error=max_error,
