@@ -6,6 +6,7 @@
 
     with Archive.open("04.mcap") as archive:
         scan = archive[3]  # decodes the GOP of scan 3, up to it
+        scan = archive["000003"]  # by its name
         for scan in archive:
             scan.points, scan.intensity, scan.classes, scan.time, scan.motion
 """
@@ -13,9 +14,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import Any, Self, overload
 
@@ -26,6 +28,8 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.salvage import Salvage
 from salpcc.stages.residual_code.gop import decode_any, scan_of
+
+_SHOWN = 5  # scans of each end in a notebook
 
 
 def decode_scans(reader: ArchiveReader | Salvage, gop: int) -> Iterator[Scan]:
@@ -101,7 +105,7 @@ def _detached(scan: Scan) -> Scan:
     )
 
 
-class Archive:
+class Archive(Sequence[Scan]):
     """The scans of one archive as a read-only sequence.
 
     Random access decodes at most one GOP, from its first scan to the one asked for; going on from there
@@ -137,7 +141,27 @@ class Archive:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the decoded scans; no file stays open, and the archive can still be used."""
         self._forget()
+
+    def __repr__(self) -> str:
+        scans = f"{self.sequence!r}, {len(self)} scan{'' if len(self) == 1 else 's'}"
+        return f"Archive({scans}, {self.sensor.name}, {str(self._reader.path)!r})"
+
+    def _repr_html_(self) -> str:
+        """Show what it is, and its first and last scans, in a notebook."""
+        entries = [entry for gop in self._reader.gops for entry in gop]
+        few = [*entries[:_SHOWN], None, *entries[-_SHOWN:]] if len(entries) > 2 * _SHOWN else entries
+        rows = "".join(
+            f"<tr><td>{escape(entry.name)}</td><td>{entry.kept:,}</td></tr>"
+            if entry
+            else "<tr><td>…</td><td></td></tr>"
+            for entry in few
+        )
+        return f"<p>{escape(repr(self))}, {self._reader.size:,} bytes</p><table><tr><th>scan</th><th>points</th></tr>{rows}</table>"
 
     @property
     def sequence(self) -> str:
@@ -176,12 +200,24 @@ class Archive:
         return len(self._places)
 
     @overload
-    def __getitem__(self, index: int) -> Scan: ...
+    def __getitem__(self, index: int | str) -> Scan: ...
     @overload
     def __getitem__(self, index: slice) -> list[Scan]: ...
-    def __getitem__(self, index: int | slice) -> Scan | list[Scan]:
+    def __getitem__(self, index: int | str | slice) -> Scan | list[Scan]:
+        """Return a scan by its place or by its name, or those of a slice of places.
+
+        Raises:
+            IndexError, KeyError: there is none at that place, or of that name.
+            ArchiveError: its GOP is damaged.
+        """
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
+        if isinstance(index, str):
+            try:
+                index = self.names.index(index)
+            except ValueError:
+                held = f"{self.names[0]} to {self.names[-1]}" if len(self) else "none"
+                raise KeyError(f"scan {index} is not in {self._reader.path}, which holds {held}") from None
         if not -len(self) <= index < len(self):
             raise IndexError(f"scan {index} of {len(self)}")
         gop, place = self._places[index]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.cloud import Cloud
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scan:
     """One revolution of the sensor as it was recorded.
 
@@ -39,3 +40,24 @@ class Scan:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def __repr__(self) -> str:
+        beside = [key for key in ("classes", "motion", "cloud") if getattr(self, key) is not None]
+        also = f", with {', '.join(beside)}" if beside else ""
+        return f"Scan({self.name!r}, {len(self):,} points, {self.time / 1e9:.6f} s{also})"
+
+    def _repr_html_(self) -> str:
+        """Show the extent of each column in a notebook."""
+        columns = dict(zip("xyz", self.points.T, strict=True)) | {"intensity": self.intensity}
+        rows = "".join(
+            f"<tr><td>{name}</td>" + "".join(f"<td>{value:.3f}</td>" for value in _extent(column)) + "</tr>"
+            for name, column in columns.items()
+            if np.isfinite(column).any()
+        )
+        head = "<tr><th></th><th>least</th><th>most</th></tr>"
+        return f"<p>{escape(repr(self))}</p><table>{head}{rows}</table>"
+
+
+def _extent(column: NDArray[np.float32]) -> tuple[float, float]:
+    finite = column[np.isfinite(column)]
+    return float(finite.min()), float(finite.max())

@@ -2,7 +2,7 @@
 
 import multiprocessing
 import pickle
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from operator import getitem
 from pathlib import Path
@@ -46,6 +46,37 @@ def test_indices_are_those_of_a_sequence(path: Path) -> None:
     for wrong in (5, -6):
         with pytest.raises(IndexError):
             archive[wrong]
+
+
+def test_a_scan_is_found_by_its_name(path: Path) -> None:
+    archive = Archive.open(path)
+    assert archive["000003"].points.tobytes() == archive[3].points.tobytes()
+    with pytest.raises(KeyError, match=r"000007 is not in .*, which holds 000000 to 000004"):
+        archive["000007"]
+
+
+def test_an_archive_is_a_sequence_that_can_be_closed(path: Path) -> None:
+    archive = Archive.open(path)
+    assert isinstance(archive, Sequence)
+    assert [scan.name for scan in reversed(archive)] == archive.names[::-1]
+    archive.close()
+    archive.close()
+    assert archive[0].name == "000000"  # no file was open, so it goes on
+
+
+def test_what_a_notebook_shows(path: Path) -> None:
+    archive = Archive.open(path)
+    assert repr(archive) == f"Archive('00', 5 scans, hdl64e, {str(path)!r})"
+    shown = archive._repr_html_()
+    assert all(name in shown for name in archive.names) and f"{path.stat().st_size:,} bytes" in shown
+    scan = archive[1]
+    assert repr(scan) == f"Scan('000001', {len(scan):,} points, 0.100000 s)"
+    assert f"<td>x</td><td>{scan.points[:, 0].min():.3f}</td>" in scan._repr_html_()
+    odd = Scan("<b>", np.full((2, 3), np.nan, np.float32), np.array([1, np.inf], np.float32))
+    assert "<b>" not in odd._repr_html_() and "<td>x</td>" not in odd._repr_html_()
+    assert "<td>intensity</td><td>1.000</td><td>1.000</td>" in odd._repr_html_()
+    empty = Scan("0", np.empty((0, 3), np.float32), np.empty(0, np.float32))
+    assert "0 points" in empty._repr_html_()
 
 
 def test_random_access_decodes_one_gop_at_most(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
