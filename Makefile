@@ -51,9 +51,11 @@ $(VENV)/.tools: $(VENV)/.product
 	$(BIN)/pip install -q -r requirements.lock
 	@touch $@
 
+# torch stays as it is until somebody edits the lock: most of its releases bring gigabytes of CUDA along.
 lock:
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
-	build/lock/bin/pip install -q ".[all,dev,open3d]"
+	grep '^torch==' requirements.lock > build/lock/torch.txt
+	build/lock/bin/pip install -q -c build/lock/torch.txt ".[all,dev,open3d]"
 	build/lock/bin/python scripts/lock.py build/lock > requirements.lock.new
 	mv requirements.lock.new requirements.lock
 

@@ -2,18 +2,23 @@
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
+from salpcc.pipeline import run as module
 from salpcc.pipeline import sequence, tasks
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.lock import locked
-from salpcc.pipeline.run import RunResult
+from salpcc.pipeline.progress import Silent
+from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.verify import verify
-from salpcc.schemas.errors import LockedError, SalpccError
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import LockedError, SalpccError, UsageError
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 Run = Callable[..., RunResult]
@@ -260,3 +265,28 @@ def test_no_point_is_farther_than_asked(toy_root: Path, tmp_path: Path, run: Run
 def test_a_baseline_is_measured_beside(toy_root: Path, tmp_path: Path, run: Run) -> None:
     result = run(toy_root, tmp_path, "01", baselines=("xz",))
     assert result.report is not None and "xz" in result.report["baselines"]
+
+
+def test_something_moves_before_the_workers_are_there(
+    toy_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They take seconds to start, and the first group is compiled for."""
+    seen: list[str] = []
+
+    @contextmanager
+    def bar(total: int, unit: str) -> Iterator[Silent]:
+        seen.append(f"{total} {unit}")
+        yield Silent()
+
+    def connect(*_: object) -> NoReturn:
+        seen.append("connect")
+        raise UsageError("no workers today")
+
+    monkeypatch.setattr(module, "bar", bar)
+    monkeypatch.setattr(module, "connect", connect)
+    request = RunRequest(RunConfig(keep_movable=True), ["00"], tmp_path / "out", toy_root)
+    with pytest.raises(UsageError, match="no workers"):
+        run_sequences(request)
+    with pytest.raises(UsageError, match="no workers"):
+        run_sequences(replace(request, graph=GraphOptions(last="residual_code")))
+    assert seen == ["10 scans coded or measured", "connect", "5 scans", "connect"]
