@@ -104,9 +104,9 @@ def _farthest(points: F32, place: I64, count: int) -> NDArray[np.int64]:
     return chosen
 
 
-def interpolate(points: F32, queries: F32) -> tuple[I64, F32]:
+def interpolate(points: cKDTree, queries: F32) -> tuple[I64, F32]:
     """Return the three nearest of ``points`` to each query ``(Q, 3)`` and weights by inverse distance."""
-    distance, nearest = cKDTree(points).query(queries, k=3)
+    distance, nearest = points.query(queries, k=3)
     inverse = 1.0 / (np.asarray(distance) + _FLOOR)
     weights = (inverse / inverse.sum(axis=1, keepdims=True)).astype(np.float32)
     return np.asarray(nearest, np.int64), weights
@@ -135,22 +135,18 @@ def sample(
         source = np.sort(rng.choice(len(points), wanted, replace=len(points) < wanted))
     taken = points[source]
     order = farthest_points(taken, count)
-    centres, groups, parents, weights = [], [], [], []
-    before = taken
-    for level in range(LEVELS):
-        chosen = order[: count // SHRINK**level]
-        here = taken[chosen]
-        groups.append(np.asarray(cKDTree(before).query(here, k=GROUP)[1], np.int64))
-        if level:
-            up = interpolate(here, before)
-            parents.append(up[0])
-            weights.append(up[1])
-        centres.append(chosen)
-        before = here
-    there = np.ones(len(queries), np.bool_) if asked is None else asked
+    centres = [order[: count // SHRINK**level] for level in range(LEVELS)]
+    places = [taken, *(taken[chosen] for chosen in centres)]
+    trees = [cKDTree(there) for there in places]
+    groups = [
+        np.asarray(tree.query(here, k=GROUP)[1], np.int64)
+        for tree, here in zip(trees, places[1:], strict=False)
+    ]
+    parents, weights = zip(
+        *(interpolate(tree, here) for tree, here in zip(trees[2:], places[1:], strict=False)), strict=True
+    )
+    asked = np.ones(len(queries), np.bool_) if asked is None else asked
     pixel_parents = np.zeros((len(queries), 3), np.int64)
     pixel_weights = np.zeros((len(queries), 3), np.float32)
-    pixel_parents[there], pixel_weights[there] = interpolate(taken[order], queries[there])
-    return PointSets(
-        source, tuple(centres), tuple(groups), tuple(parents), tuple(weights), pixel_parents, pixel_weights
-    )
+    pixel_parents[asked], pixel_weights[asked] = interpolate(trees[1], queries[asked])
+    return PointSets(source, tuple(centres), tuple(groups), parents, weights, pixel_parents, pixel_weights)

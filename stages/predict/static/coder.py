@@ -41,7 +41,11 @@ def intensity_contexts(starts: Starts, tick: Ints, level: Ints, value: Bytes) ->
     return context
 
 
-@njit(cache=True)
+# Arrays are the callers': counting references to them, a symbol's worth each time, takes longer than the symbol.
+_uncounted = njit(cache=True, _nrt=False)
+
+
+@_uncounted
 def _encode_residuals(context: Bytes, residual: Ints, start: NDArray[np.uint16], words: Words) -> int:
     x = LOWEST
     position = len(words)
@@ -51,7 +55,7 @@ def _encode_residuals(context: Bytes, residual: Ints, start: NDArray[np.uint16],
     return finish(x, position, words)
 
 
-@njit(cache=True)
+@_uncounted
 def _encode_values(context: NDArray[np.uint16], value: Bytes, start: NDArray[np.uint16], words: Words) -> int:
     x = LOWEST
     position = len(words)
