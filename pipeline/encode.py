@@ -80,7 +80,7 @@ def resolve(config: RunConfig) -> RunConfig:
         UsageError: what the configuration asks for needs an extra that is not installed.
     """
     if config.uses_network:
-        require("segment", "leaving out what moves")
+        require("segment", "telling what can move (--keep-movable goes without)")
     if config.profile == "paper":
         require("paper", "the profile paper")
     known = {"sensor_digest": load_sensor(config.sensor).digest}

@@ -128,3 +128,11 @@ def test_the_options_of_run_stand_in_four_groups() -> None:
         assert places == sorted(places)
         options_panel = shown[shown.index("─ Options ─") : places[0]]
         assert "--help" in options_panel and options_panel.count("--") == 1
+
+
+def test_a_shell_can_complete() -> None:
+    shown, names = loaded(
+        "import os\nos.environ |= {'_SALPCC_PIPELINE_COMPLETE': 'complete_bash', 'COMP_CWORD': '1', "
+        "'COMP_WORDS': 'salpcc-pipeline in'}\n" + HELP.format(arguments=[])
+    )
+    assert shown.split() == ["inspect"] and not names & set(HEAVY)
