@@ -19,7 +19,7 @@ SHIPPED = sorted(path.stem for path in SENSORS.glob("*.json"))
 def chosen(monkeypatch: pytest.MonkeyPatch):
     """What is chosen for a log of one topic of such points."""
 
-    def choose(points: np.ndarray) -> tuple[str, float]:
+    def choose(points: np.ndarray) -> tuple[str, float | None]:
         class Log:
             def scans(self, log, sequence, topics):
                 return [ScanRef(f"{i:06d}", i, i, str(log), topic="/points") for i in range(2)]
@@ -53,7 +53,7 @@ def test_finds_every_shipped_sensor(name: str, chosen) -> None:
 def test_takes_the_default_for_what_it_does_not_know(chosen) -> None:
     unknown = np.random.default_rng(0).uniform(-20, 20, (4000, 3)).astype(np.float32)
     assert chosen(unknown) == (OTHERWISE, 0.0)
-    assert chosen(unknown[:0]) == (OTHERWISE, 0.0)
+    assert chosen(unknown[:0]) == (OTHERWISE, None)  # nothing to tell by
 
 
 RECORDINGS = {
