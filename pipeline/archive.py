@@ -18,42 +18,98 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from html import escape
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Self, overload
+from typing import Any, Literal, Self, get_args, overload
 
-from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
+from salpcc.schemas.sweep import Sweep
+from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.residual_code.archive.format import ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.salvage import Salvage
-from salpcc.stages.residual_code.gop import decode_any, scan_of
+from salpcc.stages.residual_code.gop import decode_any, layered_scan, scan_of
+from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
+
+Layers = Literal["all", "static", "movable"]
+LAYERS: tuple[str, ...] = get_args(Layers)
 
 _SHOWN = 5  # scans of each end in a notebook
 
 
-def decode_scans(reader: ArchiveReader | Salvage, gop: int) -> Iterator[Scan]:
-    """Decode the scans of one GOP, one after the other.
+def check_layers(reader: ArchiveReader, layers: Layers) -> None:
+    """Refuse to open a layer that an archive does not hold.
 
     Raises:
-        ArchiveError: a payload is damaged; the message names the first scan that did not come back.
+        UsageError: so it is; the message says why.
     """
+    if layers == "static" and reader.movable == "one layer":
+        raise UsageError(
+            f"{reader.path}: one layer, nothing tells what may move; encode it without --keep-movable"
+        )
+    if layers == "movable" and reader.movable != "layered":
+        what = "was dropped" if reader.movable == "dropped" else "is in one layer with the rest"
+        raise UsageError(f"{reader.path}: has no movable layer; what may move {what}")
+
+
+def decode_scans(reader: ArchiveReader | Salvage, gop: int, layers: Layers = "all") -> Iterator[Scan]:
+    """Decode the scans of one GOP, one after the other.
+
+    Args:
+        layers: ``static`` reads no byte of the movable layer's chunks; ``all`` is the scans as they were recorded, as far
+            as the archive holds them.
+
+    Raises:
+        ArchiveError: a payload is damaged, or the movable layer asked for is gone; the message names the first scan that
+            did not come back.
+    """
+    layered = layers != "static" and reader.movable == "layered"
     payloads = reader.payloads(gop)
-    sensor = reader.facts.sensor
-    sweeps = iter(decode_any((payload.data for payload in payloads), sensor))
+    if layered:
+        movable = reader.movable_payloads(gop)
+        pairs = zip_longest(payloads, movable[: len(payloads)])
+        payloads = [replace(payload, movable=layer) for payload, layer in pairs]
+    scans = decoded_scans(payloads, reader.facts.sensor, layered, alone=layers == "movable")
     for payload in payloads:
         try:
-            sweep = next(sweeps)
+            yield next(scans)
         except StopIteration:
             raise ArchiveError(f"{reader.path}: scan {payload.entry.name} is missing from its GOP") from None
         except ArchiveError as error:
             raise ArchiveError(f"{reader.path}: scan {payload.entry.name}: {error}") from error
-        sweep = replace(sweep, name=payload.entry.name, time=payload.time, frame_id=payload.frame_id)
-        yield scan_of(sweep, sensor)
+
+
+def decoded_scans(
+    payloads: list[ScanPayload], sensor: SensorModel, layered: bool, alone: bool = False
+) -> Iterator[Scan]:
+    """Decode the payloads of one GOP.
+
+    Args:
+        layered: take their movable layers, too; ``alone``: give these only.
+
+    Raises:
+        ArchiveError: the next payload is damaged, or lacks its movable layer.
+    """
+    models = GopModels(sensor)
+    sweeps = decode_any((payload.data for payload in payloads), sensor)
+    for payload, sweep in zip(payloads, sweeps, strict=False):
+        if layered:
+            if payload.movable is None:
+                raise ArchiveError("its movable layer is gone; --layers static gives what is left")
+            assert isinstance(sweep, Sweep)
+            moving = decode_scan(payload.movable.data, sensor, models, sweep)
+            scan = layered_scan(sweep, moving, sensor, alone)
+        else:
+            scan = scan_of(sweep, sensor)
+        yield replace(scan, name=payload.entry.name, time=payload.time, frame_id=payload.frame_id)
 
 
 def decode_groups(
-    reader: ArchiveReader | Salvage, gops: Iterable[int], threads: int = 1
+    reader: ArchiveReader | Salvage, gops: Iterable[int], threads: int = 1, layers: Layers = "all"
 ) -> Iterator[Iterator[Scan]]:
     """Decode GOPs, one iterator of scans for each; with several threads, as many GOPs at once.
 
@@ -62,13 +118,13 @@ def decode_groups(
     with any number; an iterator raises what :func:`decode_scans` does, after the same scans.
     """
     if threads <= 1:
-        yield from (decode_scans(reader, gop) for gop in gops)
+        yield from (decode_scans(reader, gop, layers) for gop in gops)
         return
     ahead: deque[Future[tuple[list[Scan], Exception | None]]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
             for gop in gops:
-                ahead.append(pool.submit(_decoded, reader, gop))
+                ahead.append(pool.submit(_decoded, reader, gop, layers))
                 if len(ahead) > threads:
                     yield _given(*ahead.popleft().result())
             while ahead:
@@ -78,10 +134,12 @@ def decode_groups(
                 future.cancel()
 
 
-def _decoded(reader: ArchiveReader | Salvage, gop: int) -> tuple[list[Scan], Exception | None]:
+def _decoded(
+    reader: ArchiveReader | Salvage, gop: int, layers: Layers
+) -> tuple[list[Scan], Exception | None]:
     scans: list[Scan] = []
     try:
-        scans.extend(decode_scans(reader, gop))  # keeps those before an error
+        scans.extend(decode_scans(reader, gop, layers))  # keeps those before an error
     except Exception as error:  # noqa: BLE001 (whoever asks for the scan gets it)
         return scans, error
     return scans, None
@@ -101,6 +159,7 @@ def _detached(scan: Scan) -> Scan:
         intensity=scan.intensity.copy(),
         classes=None if scan.classes is None else scan.classes.copy(),
         motion=None if scan.motion is None else scan.motion.copy(),
+        movable=None if scan.movable is None else scan.movable.copy(),
         cloud=scan.cloud and replace(scan.cloud, rest=scan.cloud.rest.copy()),
     )
 
@@ -117,25 +176,32 @@ class Archive(Sequence[Scan]):
     _decoded: list[Scan]  # its scans so far
     _decoder: Iterator[Scan]  # gives the rest
 
-    def __init__(self, path: str | Path, threads: int = 1) -> None:
+    def __init__(self, path: str | Path, threads: int = 1, layers: Layers = "all") -> None:
         """Open an archive.
 
         Args:
             path: the file, or its URL.
             threads: GOPs that are decoded at once while one iterates, and kept in memory; the scans are the same.
+            layers: ``all`` there is, as it was recorded; ``static`` without what may move, of which no byte is read;
+                ``movable`` that alone.
 
         Raises:
             ArchiveError: not an archive, damaged, truncated, or of a newer major version.
+            UsageError: the archive has no such layer.
         """
+        if layers not in LAYERS:
+            raise UsageError(f"layers {layers!r}: choose from {', '.join(LAYERS)}")
         self._reader = ArchiveReader(path)
+        self._layers = layers
+        check_layers(self._reader, layers)
         self._threads = threads
         self._places = [(g, i) for g, gop in enumerate(self._reader.gops) for i in range(len(gop))]
         self._forget()
 
     @classmethod
-    def open(cls, path: str | Path, threads: int = 1) -> Archive:
+    def open(cls, path: str | Path, threads: int = 1, layers: Layers = "all") -> Archive:
         """Open an archive; the same as the constructor, reads well in a ``with`` statement."""
-        return cls(path, threads)
+        return cls(path, threads, layers)
 
     def __enter__(self) -> Self:
         return self
@@ -153,7 +219,9 @@ class Archive(Sequence[Scan]):
 
     def _repr_html_(self) -> str:
         """Show what it is, and its first and last scans, in a notebook."""
-        entries = [entry for gop in self._reader.gops for entry in gop]
+        reader = self._reader
+        of_layers = {"all": reader.entries, "static": reader.gops, "movable": reader.movable_gops}
+        entries = [entry for gop in of_layers[self._layers] for entry in gop]
         few = [*entries[:_SHOWN], None, *entries[-_SHOWN:]] if len(entries) > 2 * _SHOWN else entries
         rows = "".join(
             f"<tr><td>{escape(entry.name)}</td><td>{entry.kept:,}</td></tr>"
@@ -177,6 +245,11 @@ class Archive(Sequence[Scan]):
     def config(self) -> dict[str, Any]:
         """The configuration that the archive was coded with."""
         return self._reader.facts.config
+
+    @property
+    def movable(self) -> Movable:
+        """What became of what may move: ``layered``, ``dropped``, or ``one layer``."""
+        return self._reader.movable
 
     @property
     def log(self) -> dict[int, LogChannel]:
@@ -222,7 +295,7 @@ class Archive(Sequence[Scan]):
             raise IndexError(f"scan {index} of {len(self)}")
         gop, place = self._places[index]
         if gop != self._gop:
-            self._gop, self._decoded, self._decoder = gop, [], decode_scans(self._reader, gop)
+            self._gop, self._decoded, self._decoder = gop, [], decode_scans(self._reader, gop, self._layers)
         try:
             while len(self._decoded) <= place:
                 self._decoded.append(next(self._decoder))
@@ -232,14 +305,21 @@ class Archive(Sequence[Scan]):
         return _detached(self._decoded[place])
 
     def __iter__(self) -> Iterator[Scan]:
-        for scans in decode_groups(self._reader, range(len(self._reader.gops)), self._threads):
+        gops = range(len(self._reader.gops))
+        for scans in decode_groups(self._reader, gops, self._threads, self._layers):
             yield from map(_detached, scans)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"reader": self._reader, "threads": self._threads, "places": self._places}
+        return {
+            "reader": self._reader,
+            "threads": self._threads,
+            "layers": self._layers,
+            "places": self._places,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self._reader, self._threads, self._places = state["reader"], state["threads"], state["places"]
+        self._layers = state["layers"]
         self._forget()
 
     def _forget(self) -> None:

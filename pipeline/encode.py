@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import pyarrow as pa
 from pydantic import ValidationError
 
+from salpcc.pipeline.archive import decoded_scans
 from salpcc.pipeline.checked import check_name, checked
 from salpcc.pipeline.verify import Verdict, compare
 from salpcc.schemas.config import RunConfig
@@ -18,11 +18,11 @@ from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
+from salpcc.schemas.shards import LAYER_COUNTS
 from salpcc.stages.coding import code
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive.writer import write_archive
-from salpcc.stages.residual_code.gop import decode_any, scan_of
 from salpcc.stages.segment.weights_file import weights_digest, weights_path
 
 
@@ -43,7 +43,7 @@ def encode_scans(
     Args:
         overwrite: replace a file that is there.
         options: fields of :class:`~salpcc.schemas.config.RunConfig`, e.g. ``max_error=0.01``. Arrays keep
-            their movable points unless ``keep_movable=False``. With ``labels="given"`` every scan needs its
+            their movable points in one layer unless ``keep_movable=False``. With ``labels="given"`` every scan needs its
             ``classes``.
 
     Raises:
@@ -67,7 +67,9 @@ def encode_scans(
     first_scan = next(coming := checked(scans, config), None)
     if first_scan is None:
         raise UsageError(f"{target}: there are no scans to encode")
-    facts = ArchiveFacts(sequence, "arrays", "", config.coding, load_sensor(config.sensor))
+    sensor = load_sensor(config.sensor)
+    layered = config.movable == "layered"
+    facts = ArchiveFacts(sequence, "arrays", "", config.coding, sensor, layered)
     write_archive(target, facts, _gops(chain([first_scan], coming), config))
     return target
 
@@ -97,10 +99,14 @@ def resolve(config: RunConfig) -> RunConfig:
 
 def payloads_of(table: pa.Table) -> list[ScanPayload]:
     """Take the coded scans out of a PAYLOAD table."""
-    counts = list(ScanEntry.__dataclass_fields__)
+
+    def payload(layer: dict[str, Any], row: dict[str, Any], movable: ScanPayload | None) -> ScanPayload:
+        entry = ScanEntry(row["name"], **{name: layer[name] for name in LAYER_COUNTS})
+        return ScanPayload(entry, row["time"], row["frame_id"], layer["data"], movable)
+
     return [
-        ScanPayload(ScanEntry(**{k: row[k] for k in counts}), row["time"], row["frame_id"], row["data"])
-        for row in table.drop_columns("dropped_classes").to_pylist()
+        payload(row, row, row["movable"] and payload(row["movable"], row, None))
+        for row in table.drop_columns(["dropped_classes", "found_classes"]).to_pylist()
     ]
 
 
@@ -124,9 +130,8 @@ def _decode_again(
         ArchiveError: it is something else; that is a fault of this tool.
     """
     verdict = Verdict("", "", asked_max_error_m=config.max_error)
-    decoded = decode_any((payload.data for payload in payloads), sensor)
-    for sweep, scan in zip(decoded, scans, strict=True):
-        back = replace(scan_of(sweep, sensor), name=scan.name)
-        compare(back, scan, "the scan given", config.coding, verdict)
+    layered = config.movable == "layered"
+    for back, scan in zip(decoded_scans(payloads, sensor, layered), scans, strict=True):
+        compare(back, scan, "the scan given", config.coding, verdict, config.movable == "dropped")
     if verdict.problems:
         raise ArchiveError(f"not written, as it would not come back right: {verdict.problems[0]}")

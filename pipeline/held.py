@@ -10,7 +10,12 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
-_OPTIONS = {"sensor_digest": "sensor", "weights_digest": "weights"}  # what the others are called by
+_OPTIONS = {
+    "sensor_digest": "sensor",
+    "weights_digest": "weights",
+    "layers": "drop_movable",
+    "movable_max_error": "max_error",
+}  # what the others are called by
 
 
 def held_scans(archive: Path) -> list[str]:
@@ -43,10 +48,14 @@ def check_replaceable(
         return
     asked: dict[str, object] = config.coding
     options = sorted(
-        f"--{_OPTIONS.get(key, key).replace('_', '-')}"
-        for key in asked.keys() | facts.config.keys()
-        if asked.get(key) != facts.config.get(key)
+        {
+            f"--{_OPTIONS.get(key, key).replace('_', '-')}"
+            for key in asked.keys() | facts.config.keys()
+            if asked.get(key) != facts.config.get(key)
+        }
     )
+    if "--keep-movable" in options and "--drop-movable" in options:
+        options.remove("--drop-movable")  # it follows
     here, wanted = set(held_scans(archive)), {ref.name for gop in plan.gops for ref in gop.scans}
     if options:
         how = f"with another {', '.join(options)}"

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from salpcc.pipeline.store import read_shard
+from salpcc.pipeline.verify import layer_sizes
 from salpcc.stages.residual_code.archive.format import ScanEntry
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
@@ -24,7 +25,7 @@ def inspect_archive(path: Path) -> dict[str, Any]:
     reader = ArchiveReader(path)
     facts = reader.facts
     first, last = reader.span
-    scans = [{"gop": number, **vars(entry)} for number, gop in enumerate(reader.gops) for entry in gop]
+    scans = [{"gop": number, **vars(entry)} for number, gop in enumerate(reader.entries) for entry in gop]
     counts = [name for name in ScanEntry.__dataclass_fields__ if name != "name"]
     return {
         "kind": "archive",
@@ -41,6 +42,8 @@ def inspect_archive(path: Path) -> dict[str, Any]:
         "bytes_passing": reader.passing_bytes,
         "seconds": (last - first) / 1e9,
         "topics": sorted({channel.topic for channel in reader.log.values()}),
+        "movable": reader.movable,
+        "layers": layer_sizes(reader),
         "totals": {name: sum(scan[name] for scan in scans) for name in counts},
         "rows": scans,
     }

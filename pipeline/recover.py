@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.archive import decode_scans, decoded_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import ScanPayload
@@ -56,6 +56,13 @@ def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recover
     gops = []
     for number, names in enumerate(source.names):
         payloads = _that_decode(source, number)
+        if source.movable == "layered":
+            payloads = _with_layers(source, number, payloads)
+            bare = [payload.entry.name for payload in payloads if payload.movable is None]
+            if bare:
+                found.notes.append(
+                    f"movable layer gone of scan {', '.join(bare)}; --layers static has the rest"
+                )
         gops.append(payloads)
         found.scans += len(payloads)
         came = {payload.entry.name for payload in payloads}
@@ -91,8 +98,21 @@ def _that_decode(source: Salvage, gop: int) -> list[ScanPayload]:
     payloads = source.payloads(gop)
     good = 0
     try:
-        for _ in decode_scans(source, gop):
+        for _ in decode_scans(source, gop, "static"):
             good += 1
     except (ArchiveError, ValueError):
         pass
     return payloads[:good]
+
+
+def _with_layers(source: Salvage, gop: int, payloads: list[ScanPayload]) -> list[ScanPayload]:
+    """Add their movable layers to scans, up to the first that does not decode."""
+    layers = source.movable_payloads(gop)
+    whole = [replace(payload, movable=layer) for payload, layer in zip(payloads, layers, strict=False)]
+    good = 0
+    try:
+        for _ in decoded_scans(whole, source.facts.sensor, layered=True):
+            good += 1
+    except (ArchiveError, ValueError):
+        pass
+    return whole[:good] + payloads[good:]

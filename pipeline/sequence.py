@@ -36,7 +36,7 @@ from salpcc.stages.evaluate.report.baseline_figures import OURS
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.bag import clouds_of
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanPayload
+from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 
@@ -114,6 +114,7 @@ def finish(
         record["inputs"],
         config.coding | of_log,
         load_sensor(config.sensor),
+        config.movable == "layered",
     )
     payloads = (
         _payloads(store, result, _dropped_ref(store, gop, record["inputs"]))
@@ -129,12 +130,13 @@ def known_files(plan: SequencePlan, results: list[GopResult]) -> Known:
 
 
 def _payloads(store: ShardStore, result: GopResult, dropped: ShardRef) -> list[ScanPayload]:
-    """The payloads of a GOP; what it dropped is put aside for the evaluation, as the archive does not hold it."""
+    """The payloads of a GOP; classes that the archive does not hold are put aside for the evaluation."""
     if result.failed:
         return []
     table, _ = store.read(dict(result.shards)["residual_code"])
-    if any(table.column("dropped_movable").to_pylist()):
-        store.write(dropped, table.select(["name", "dropped_classes"]), {"stage": "evaluate"})
+    aside = table.select(["name", "dropped_classes", "found_classes"])
+    if any(aside.column(name).null_count < len(aside) for name in aside.column_names[1:]):
+        store.write(dropped, aside, {"stage": "evaluate"})
     return payloads_of(table)
 
 
@@ -153,24 +155,35 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
     try:
         reader = ArchiveReader(archive_path(out, gop.sequence))
         payloads = reader.payloads(gop.number)
+        payloads += reader.movable_payloads(gop.number)
         content = [[vars(payload.entry), zlib.crc32(payload.data)] for payload in payloads]
         digest = digest_of(inputs, "evaluate", evaluate.VERSION, gop.number, content)
         ref = store.ref(gop.sequence, "evaluate", gop.number, digest)
         result = GopResult(inputs, digest, (("evaluate", ref),))
         if store.has(ref) and not redo:
             return result
-        entries = [payload.entry for payload in payloads]
+        entries = reader.entries[gop.number]
         names = {entry.name for entry in entries}
+        layers = {entry.name: entry for entry in reader.movable_gops[gop.number]}
+        dropped, found = _aside(store, gop, inputs)
+        if reader.movable == "layered":  # it is all there
+            dropped = dict.fromkeys(names)
         refs = [scan for scan in gop.scans if scan.name in names]
         _warm_up(reader, gop.number)
         table = evaluate.run(
             decode_scans(reader, gop.number),
             _originals(gop, refs, with_labels=config.uses_network or config.labels == "given"),
-            pa.Table.from_pylist([vars(entry) for entry in entries]),
+            pa.Table.from_pylist(
+                [
+                    vars(entry) | {"movable": reader.movable, **_of_layer(layers.get(entry.name))}
+                    for entry in entries
+                ]
+            ),
             sequence=gop.sequence,
             gop=gop.number,
-            max_error=config.max_error or 0.0,
-            dropped=_dropped(store, gop, inputs),
+            max_error=config.largest_error,
+            dropped=dropped,
+            found=found,
             in_order=config.profile == "sensor",
             sample=gop.number == 0,
         )
@@ -183,14 +196,31 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
     return result
 
 
-def _dropped(store: ShardStore, gop: GopSource, inputs: str) -> dict[str, NDArray[np.uint8] | None]:
-    """By scan, the classes of what was dropped; empty where nobody put them aside (another run's archive)."""
+_Aside = dict[str, NDArray[np.uint8] | None]
+
+
+def _aside(store: ShardStore, gop: GopSource, inputs: str) -> tuple[_Aside, _Aside]:
+    """By scan, the classes of what was dropped, and those of all points as they were found.
+
+    Empty where nobody put them aside (another run's archive).
+    """
     ref = _dropped_ref(store, gop, inputs)
     if not store.has(ref):
-        return {}
+        return {}, {}
     table, _ = store.read(ref)
     names = table.column("name").to_pylist()
-    return {name: list_array(table, "dropped_classes", row) for row, name in enumerate(names)}
+    dropped, found = (
+        {name: list_array(table, column, row) for row, name in enumerate(names)}
+        for column in ("dropped_classes", "found_classes")
+    )
+    return dropped, found
+
+
+def _of_layer(entry: ScanEntry | None) -> dict[str, int | None]:
+    """Points and bytes of the movable layer of a scan."""
+    if entry is None:
+        return {"points_movable": None, "bytes_movable": None}
+    return {"points_movable": entry.kept, "bytes_movable": entry.bytes}
 
 
 def _warm_up(reader: ArchiveReader, gop: int) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from salpcc.pipeline.archive import decode_groups
 from salpcc.pipeline.logs import compare_log
 from salpcc.pipeline.plan import missing_root
+from salpcc.pipeline.redact import check_redacted
 from salpcc.schemas.config import GRID_ACCURACY
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
@@ -38,6 +39,8 @@ class Verdict:
     asked_max_error_m: float | None = None
     bit_exact_scans: int = 0
     points_dropped: int = 0
+    movable: str = ""
+    layers: dict[str, dict[str, int]] | None = None
     passed_messages: int | None = None
     max_error_m: float | None = None
     problems: list[str] = field(default_factory=list)
@@ -52,8 +55,12 @@ class Verdict:
         return {"good": self.good, **asdict(self)}
 
 
-def verify(path: Path, against: Path | None = None, threads: int = 1) -> Verdict:
+def verify(
+    path: Path, against: Path | None = None, threads: int = 1, redacted_from: Path | None = None
+) -> Verdict:
     """Decode all of an archive; with ``against`` (a data root), compare each point with its source.
+
+    With ``redacted_from``, the manifest of a redaction, compare its chunks with those that were redacted.
 
     What is damaged is listed under ``problems``; other GOPs are still verified. ``threads`` GOPs are decoded at once.
 
@@ -64,6 +71,9 @@ def verify(path: Path, against: Path | None = None, threads: int = 1) -> Verdict
     reader = ArchiveReader(path)
     facts = reader.facts
     verdict = Verdict(str(path), facts.sequence, asked_max_error_m=facts.config.get("max_error"))
+    verdict.movable, verdict.layers = reader.movable, layer_sizes(reader)
+    if redacted_from is not None:
+        verdict.problems += check_redacted(reader, redacted_from)
     refs = _sources(reader, against) if against is not None else None
     verdict.against = str(against) if against is not None else None
     try:
@@ -72,7 +82,7 @@ def verify(path: Path, against: Path | None = None, threads: int = 1) -> Verdict
         verdict.problems.append(str(error))
     coded: Counter[str] = Counter()  # messages of a log, by topic
     groups = decode_groups(reader, range(len(reader.gops)), threads)
-    for entries, scans in zip(reader.gops, groups, strict=True):
+    for entries, scans in zip(reader.entries, groups, strict=True):
         try:
             for entry, scan in zip(entries, scans, strict=True):
                 verdict.scans += 1
@@ -84,7 +94,8 @@ def verify(path: Path, against: Path | None = None, threads: int = 1) -> Verdict
                 if refs is not None:
                     topic = scan.cloud.topic if scan.cloud else ""
                     coded[topic] += 1
-                    _compare(scan, refs.get(_key(topic, scan.name)), facts.source, facts.config, verdict)
+                    ref = refs.get(_key(topic, scan.name))
+                    _compare(scan, ref, facts.source, facts.config, verdict, reader.movable == "dropped")
         except (ArchiveError, ValueError) as error:
             verdict.problems.append(str(error))
     if against is not None and reader.log:
@@ -113,7 +124,9 @@ def _sources(reader: ArchiveReader, root: Path) -> dict[str, ScanRef]:
         raise UsageError(str(error)) from error
 
 
-def _compare(scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any], verdict: Verdict) -> None:
+def _compare(
+    scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any], verdict: Verdict, dropped: bool
+) -> None:
     if ref is None:
         verdict.problems.append(f"scan {scan.name}: not in {verdict.against}")
         return
@@ -123,20 +136,24 @@ def _compare(scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any],
     except SourceError as error:
         verdict.problems.append(str(error))
         return
-    compare(scan, source, ref.path, config, verdict)
+    compare(scan, source, ref.path, config, verdict, dropped)
 
 
-def compare(scan: Scan, source: Scan, path: str, config: dict[str, Any], verdict: Verdict) -> None:
+def compare(
+    scan: Scan, source: Scan, path: str, config: dict[str, Any], verdict: Verdict, dropped: bool
+) -> None:
     """Compare a decoded scan with its source, which is at ``path``, and say in the verdict what was found.
 
     Args:
         config: that the archive was coded with.
+        dropped: what may move is not in the archive.
     """
     given = config.get("labels") == "given"
     if config.get("profile") == "paper":
         _compare_grid(scan, source, path, config.get("max_error") or GRID_ACCURACY, verdict)
         return
-    kept = _kept(source, scan, given and not config.get("keep_movable"), verdict.asked_max_error_m or 0.0)
+    bounds = _bounds(scan, config)
+    kept = _kept(source, scan, given and dropped, max(bound for _, bound in bounds))
     if kept is None or kept.sum() != len(scan):
         verdict.problems.append(f"scan {scan.name}: its {len(scan)} points are not those of {path}")
         return
@@ -150,14 +167,35 @@ def compare(scan: Scan, source: Scan, path: str, config: dict[str, Any], verdict
         verdict.problems.append(f"scan {scan.name}: its message differs from {path}")
     elif same_bits(points, scan.points):
         verdict.bit_exact_scans += 1
-    elif not verdict.asked_max_error_m:
-        verdict.problems.append(f"scan {scan.name}: not bit-exact with {path}")
-    worst = point_errors(points, scan.points).maximum
-    verdict.max_error_m = max(verdict.max_error_m or 0.0, worst)
-    if verdict.asked_max_error_m and worst > verdict.asked_max_error_m:
-        verdict.problems.append(
-            f"scan {scan.name}: an error of {worst} m, {verdict.asked_max_error_m} m was asked"
-        )
+    for which, bound in bounds:
+        worst = point_errors(points[which], scan.points[which]).maximum
+        verdict.max_error_m = max(verdict.max_error_m or 0.0, worst)
+        if not bound and not same_bits(points[which], scan.points[which]):
+            verdict.problems.append(f"scan {scan.name}: not bit-exact with {path}")
+        elif bound and worst > bound:
+            verdict.problems.append(f"scan {scan.name}: an error of {worst} m, {bound} m was asked")
+
+
+def _bounds(scan: Scan, config: dict[str, Any]) -> list[tuple[NDArray[np.bool_], float]]:
+    """Which points of a scan were asked for with which error in metres, 0 for exact."""
+    static, movable = config.get("max_error") or 0.0, config.get("movable_max_error")
+    if scan.movable is None or movable is None:
+        return [(np.ones(len(scan), np.bool_), static)]
+    return [(~scan.movable, static), (scan.movable, movable)]
+
+
+def layer_sizes(reader: ArchiveReader) -> dict[str, dict[str, int]] | None:
+    """Points and bytes of each layer of an archive: payloads, without the container; None where all is in one."""
+    if reader.movable == "one layer":
+        return None
+    layers = {"static": reader.gops, "movable": reader.movable_gops}
+    return {
+        name: {
+            "points": sum(entry.kept for gop in gops for entry in gop),
+            "bytes": sum(entry.bytes for gop in gops for entry in gop),
+        }
+        for name, gops in layers.items()
+    }
 
 
 def _compare_grid(scan: Scan, source: Scan, path: str, accuracy: float, verdict: Verdict) -> None:

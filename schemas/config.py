@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from salpcc.schemas.work import digest_of
+from salpcc.schemas.work import Movable, digest_of
 
 Profile = Literal["sensor", "paper"]
 Labels = Literal["network", "given"]
@@ -35,7 +35,12 @@ class RunConfig(BaseModel):
         le=10,
         description="metres, 3-D; None is bit-exact. Profile paper: the quantisation step of ranges; None is 1 mm",
     )
-    keep_movable: bool = False
+    keep_movable: bool = Field(False, description="one layer; no network is asked what may move")
+    drop_movable: bool = Field(False, description="leave out what may move, instead of a layer of its own")
+    movable_max_error: float | None = Field(
+        None, ge=0, le=10, description="metres, of the movable layer; 0 is bit-exact, None as max_error"
+    )
+    classes: bool = Field(False, description="store the classes that the network finds")
     labels: Labels = "network"
     effort: Effort = "default"
     coder: Coder = Field("ppmd", description="of the residuals, profile paper")
@@ -59,10 +64,40 @@ class RunConfig(BaseModel):
             raise ValueError(f"frames {self.frames[0]}:{self.frames[1]} is empty")
         return self
 
+    @model_validator(mode="after")
+    def _one_way(self) -> RunConfig:
+        if self.keep_movable and self.drop_movable:
+            raise ValueError("keep_movable and drop_movable ask for opposite things; choose one")
+        if self.movable_max_error is not None and self.movable != "layered":
+            raise ValueError("movable_max_error is of a movable layer, and there is none")
+        return self
+
+    @property
+    def movable(self) -> Movable:
+        """What becomes of what may move; the paper's grid has no layers."""
+        if self.keep_movable:
+            return "one layer"
+        return "dropped" if self.drop_movable or self.profile == "paper" else "layered"
+
+    @property
+    def movable_bound(self) -> float | None:
+        """Metres, of the movable layer; None is bit-exact."""
+        return self.max_error if self.movable_max_error is None else self.movable_max_error or None
+
+    @property
+    def largest_error(self) -> float:
+        """Metres, the larger bound of the layers; 0 is bit-exact."""
+        return max(self.max_error or 0.0, (self.movable == "layered" and self.movable_bound) or 0.0)
+
+    @property
+    def stores_classes(self) -> bool:
+        """Whether the archive holds the class of each point; what may move is told by the layers."""
+        return self.classes or self.labels == "given" or self.profile == "paper"
+
     @property
     def uses_network(self) -> bool:
-        """Whether the run asks the segmentation network: only what may be dropped has to be known."""
-        return self.labels == "network" and not self.keep_movable
+        """Whether the run asks the segmentation network: only what may move has to be known."""
+        return self.labels == "network" and (not self.keep_movable or self.classes)
 
     @property
     def accuracy(self) -> float:
@@ -75,8 +110,10 @@ class RunConfig(BaseModel):
         skip = {"source", "frames", "topics", "baselines", "device", "sensor", "weights"}
         skip |= {"columns"} if self.columns == 4 else set()
         skip |= set() if self.uses_network else {"weights_digest", "several_scans"}
+        skip |= {name for name in ("drop_movable", "movable_max_error", "classes") if not getattr(self, name)}
         skip |= {"effort"} if self.profile == "paper" else {"coder"}
-        return {k: v for k, v in self.model_dump(mode="json").items() if k not in skip}
+        fields = {k: v for k, v in self.model_dump(mode="json").items() if k not in skip}
+        return fields | ({"layers": ["static", "movable"]} if self.movable == "layered" else {})
 
     @property
     def digest(self) -> str:

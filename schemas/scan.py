@@ -27,6 +27,7 @@ class Scan:
             not compensated.
         cloud: what else its message held, where it came from a recorded log. ``intensity`` is then the
             field of that name as float32, zeros without one.
+        movable: ``(N,)`` bool, which points the archive holds in its movable layer, or None where all are in one.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Scan:
     classes: NDArray[np.uint8] | None = None
     motion: NDArray[np.float64] | None = None
     cloud: Cloud | None = None
+    movable: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.points)

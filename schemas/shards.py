@@ -47,6 +47,7 @@ _SWEEP_FIELDS = [
     pa.field("stray_index", list_of(pa.int64()), nullable=False),
     pa.field("stray_points", list_of(pa.float32()), nullable=False),
     pa.field("stray_classes", list_of(pa.uint8())),
+    pa.field("lead", list_of(pa.int64())),
     CLOUD,
 ]
 _SCALARS = ("name", "time", "frame_id", "n_points", "step", "max_error")
@@ -56,7 +57,14 @@ SWEEP = pa.schema(_SWEEP_FIELDS)
 # The classes of the source points that the task dropped, KEPT where it kept them; for the report only.
 KEPT = 255
 _DROPPED = pa.field("dropped_classes", list_of(pa.uint8()))
-TASK = pa.schema([*_SWEEP_FIELDS, pa.field("dropped_movable", pa.int64(), nullable=False), _DROPPED])
+# The class of every source point as it was found, where the archive does not store it; for the report only.
+_FOUND = pa.field("found_classes", list_of(pa.uint8()))
+_MOVABLE = pa.field(
+    "movable", pa.struct(_SWEEP_FIELDS)
+)  # the movable layer of each scan, null where there is one only
+TASK = pa.schema(
+    [*_SWEEP_FIELDS, pa.field("dropped_movable", pa.int64(), nullable=False), _DROPPED, _FOUND, _MOVABLE]
+)
 PLANES = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
@@ -65,37 +73,31 @@ PLANES = pa.schema(
         pa.field("n_points", pa.int64(), nullable=False),
     ]
 )
-PREDICTION = pa.schema(
-    [
-        pa.field("name", pa.string(), nullable=False),
-        pa.field("effort", pa.string(), nullable=False),
-        pa.field("residual", list_of(pa.int32())),
-        pa.field("level_context", list_of(pa.uint8())),
-        pa.field("intensity_context", list_of(pa.uint16())),
-        pa.field("range_interval", list_of(pa.uint32())),
-        pa.field("intensity_interval", list_of(pa.uint32())),
-    ]
-)
+_PREDICTION_FIELDS = [
+    pa.field("name", pa.string(), nullable=False),
+    pa.field("effort", pa.string(), nullable=False),
+    pa.field("residual", list_of(pa.int32())),
+    pa.field("level_context", list_of(pa.uint8())),
+    pa.field("intensity_context", list_of(pa.uint16())),
+    pa.field("range_interval", list_of(pa.uint32())),
+    pa.field("intensity_interval", list_of(pa.uint32())),
+]
+PREDICTION = pa.schema([*_PREDICTION_FIELDS, pa.field("movable", pa.struct(_PREDICTION_FIELDS))])
+# Of one layer of a scan: counts of points, and bytes by group of streams.
+LAYER_COUNTS = ("n_points", "kept", "dropped_movable", "strays", "geometry", "intensity", "classes", "side")
+_LAYER_FIELDS = [
+    *(pa.field(k, pa.int64(), nullable=False) for k in LAYER_COUNTS),
+    pa.field("data", pa.large_binary(), nullable=False),
+]
 PAYLOAD = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
         pa.field("time", pa.uint64(), nullable=False),
         pa.field("frame_id", pa.string(), nullable=False),
-        *(
-            pa.field(k, pa.int64(), nullable=False)
-            for k in (
-                "n_points",
-                "kept",
-                "dropped_movable",
-                "strays",
-                "geometry",
-                "intensity",
-                "classes",
-                "side",
-            )
-        ),
-        pa.field("data", pa.large_binary(), nullable=False),
+        *_LAYER_FIELDS,
+        pa.field("movable", pa.struct(_LAYER_FIELDS)),
         _DROPPED,
+        _FOUND,
     ]
 )
 
@@ -103,11 +105,17 @@ PAYLOAD = pa.schema(
 
 
 def sweeps_to_table(
-    sweeps: Iterable[Sweep], dropped: Iterable[NDArray[np.uint8] | None] | None = None
+    sweeps: Iterable[Sweep],
+    dropped: Iterable[NDArray[np.uint8] | None] | None = None,
+    found: Iterable[NDArray[np.uint8] | None] | None = None,
+    movable: Iterable[Sweep] | None = None,
 ) -> pa.Table:
     """Lay sweeps out as a SWEEP table, or as a TASK table where ``dropped`` is given.
 
-    That holds, per sweep, the classes ``(n_points,)`` of what was dropped and KEPT elsewhere, None for nothing.
+    Args:
+        dropped: per sweep, the classes ``(n_points,)`` of what the sweep lacks as movable and KEPT elsewhere, None for nothing.
+        found: the classes ``(n_points,)`` of all of it, None where they are not known or the sweep has them.
+        movable: the movable layers, where there are any.
     """
     rows = list(sweeps)
     columns: list[pa.Array] = []
@@ -121,7 +129,25 @@ def sweeps_to_table(
     classes = list(dropped)
     counts = [0 if some is None else np.count_nonzero(some != KEPT) for some in classes]
     columns += [pa.array(counts, pa.int64()), list_column(classes, _DROPPED.type)]
+    columns.append(list_column([None] * len(rows) if found is None else list(found), _FOUND.type))
+    columns.append(_nested(None if movable is None else sweeps_to_table(movable), len(rows), _MOVABLE.type))
     return pa.Table.from_arrays(columns, schema=TASK)
+
+
+def _nested(table: pa.Table | None, rows: int, kind: pa.StructType) -> pa.Array:
+    """Put the rows of a table into one column."""
+    if table is None:
+        return pa.nulls(rows, kind)
+    columns = [column.combine_chunks() for column in table.columns[: kind.num_fields]]
+    return pa.StructArray.from_arrays(columns, fields=list(kind))
+
+
+def _unnested(table: pa.Table, column: str) -> pa.Table | None:
+    """Inverse of :func:`_nested`."""
+    array = table.column(column).combine_chunks()
+    if array.null_count == len(array):
+        return None
+    return pa.Table.from_arrays(array.flatten(), schema=pa.schema(list(array.type)))
 
 
 def table_to_sweeps(table: pa.Table) -> list[Sweep]:
@@ -129,15 +155,25 @@ def table_to_sweeps(table: pa.Table) -> list[Sweep]:
     return [_row(table, i) for i in range(table.num_rows)]
 
 
+def table_to_movable(table: pa.Table) -> list[Sweep] | None:
+    """Take the movable layers out of a TASK table, None where it has none."""
+    movable = _unnested(table, "movable")
+    return None if movable is None else table_to_sweeps(movable)
+
+
 _PREDICTED = ("residual", "level_context", "intensity_context", "range_interval", "intensity_interval")
 
 
-def predictions_to_table(names: Iterable[str], predictions: Iterable[Prediction]) -> pa.Table:
-    """Lay the predictions of scans out as a PREDICTION table."""
-    rows = list(predictions)
-    columns = [pa.array(list(names), pa.string()), pa.array([row.effort for row in rows], pa.string())]
+def predictions_to_table(
+    names: Iterable[str], predictions: Iterable[Prediction], movable: Iterable[Prediction] | None = None
+) -> pa.Table:
+    """Lay the predictions of scans out as a PREDICTION table, with those of their ``movable`` layers if they have some."""
+    rows, names = list(predictions), list(names)
+    columns = [pa.array(names, pa.string()), pa.array([row.effort for row in rows], pa.string())]
     for name in _PREDICTED:
         columns.append(list_column([getattr(row, name) for row in rows], PREDICTION.field(name).type))
+    nested = None if movable is None else predictions_to_table(names, movable)
+    columns.append(_nested(nested, len(rows), PREDICTION.field("movable").type))
     return pa.Table.from_arrays(columns, schema=PREDICTION)
 
 
@@ -151,6 +187,12 @@ def table_to_predictions(table: pa.Table) -> list[Prediction]:
             arrays[name] = None if flat is None else flat.reshape(-1, 2)
         predictions.append(Prediction(table.column("effort")[row].as_py(), **arrays))
     return predictions
+
+
+def table_to_movable_predictions(table: pa.Table) -> list[Prediction] | None:
+    """Take those of the movable layers out of a PREDICTION table, None where it has none."""
+    movable = _unnested(table, "movable")
+    return None if movable is None else table_to_predictions(movable)
 
 
 def list_column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:

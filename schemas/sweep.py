@@ -36,6 +36,9 @@ class Sweep:
         stray_points: ``(S, 4)`` float32, x, y, z, intensity of the strays.
         stray_classes: ``(S,)`` uint8 or None.
         cloud: what else the scan's message held, rows in file order of the kept points, or None.
+        lead: None, but in the movable layer of a scan ``(T,)`` int64: how many of its returns stand before each stray of
+            the static layer in the file. ``stray_index`` then counts the points of both layers
+            (:mod:`salpcc.stages.lattice.layers`).
     """
 
     name: str
@@ -56,6 +59,7 @@ class Sweep:
     stray_points: NDArray[np.float32]
     stray_classes: NDArray[np.uint8] | None
     cloud: Cloud | None = None
+    lead: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         """Number of kept points, strays included."""

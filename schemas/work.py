@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from typing import Literal
 
 Known = dict[
     str, tuple[str, str]
 ]  # by name of a file its mark (schemas.marks), and the digest that it then had
+Movable = Literal["layered", "dropped", "one layer"]  # what an archive did with what may move
 STAGES = ("ingest", "segment", "ground_fit", "predict", "residual_code", "evaluate")
 
 

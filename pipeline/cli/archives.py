@@ -1,4 +1,4 @@
-"""``decode``, ``verify``, ``recover``, ``inspect``: what one does with archives."""
+"""``decode``, ``verify``, ``redact``, ``recover``, ``inspect``: what one does with archives."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import json
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Console
 
 from salpcc.pipeline.cli.described import show_archive, show_shard
 from salpcc.pipeline.cli.run_sequences import PLACE, parse_frames
+from salpcc.pipeline.cli.summary import layers_in_words
 from salpcc.pipeline.machine import cores
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location
 
 if TYPE_CHECKING:
-    from salpcc.pipeline.archive import Archive
+    from salpcc.pipeline.archive import Archive, Layers
     from salpcc.pipeline.export import Export
     from salpcc.schemas.scan import Scan
 
@@ -42,6 +43,10 @@ def register(app: typer.Typer) -> None:
         decode
     )
     app.command(epilog="Example:  `salpcc-pipeline verify out/archives/04.mcap --against DIR`")(verify)
+    app.command(
+        epilog="Example:  `salpcc-pipeline redact out/archives/04.mcap --out public/04.mcap`, then "
+        "`salpcc-pipeline verify public/04.mcap --redacted-from public/04.json`"
+    )(redact)
     app.command(epilog="Example:  `salpcc-pipeline recover damaged.mcap --out whole.mcap`")(recover)
     app.command(epilog="Example:  `salpcc-pipeline inspect out/archives/04.mcap`")(inspect)
 
@@ -55,6 +60,12 @@ def decode(
         str | None,
         typer.Option(metavar="NAME", help="The coordinate system to state in LAZ, such as EPSG:25832."),
     ] = None,
+    layers: Annotated[
+        str,
+        typer.Option(
+            metavar="LAYERS", help="Which layers: all, static, or movable; static reads no byte of the other."
+        ),
+    ] = "all",
     threads: Threads = None,
 ) -> None:
     """Turn an archive back into scans, bit for bit where it was made so."""
@@ -67,7 +78,7 @@ def decode(
     if crs and to != "laz":
         raise UsageError(f"--crs: --to {to} has no place for it; --to laz has")
     export: Export = partial(to_laz, crs=crs) if crs else EXPORTS[to]
-    with Archive.open(archive, threads or cores()) as opened:
+    with Archive.open(archive, threads or cores(), cast("Layers", layers)) as opened:
         count = 0
         for path in export(
             opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True, markup=False)
@@ -103,13 +114,21 @@ def verify(
             help="Compare every point with its source: the root of the data, or the log.",
         ),
     ] = None,
+    redacted_from: Annotated[
+        Path | None,
+        typer.Option(
+            parser=location,
+            metavar="FILE.json",
+            help="Check that the archive is what the redaction of this manifest left.",
+        ),
+    ] = None,
     json_: Json = False,
     threads: Threads = None,
 ) -> None:
     """Check every checksum and decode everything; with --against, compare with the source."""
     from salpcc.pipeline.verify import verify as verify_archive
 
-    verdict = verify_archive(archive, against, threads or cores())
+    verdict = verify_archive(archive, against, threads or cores(), redacted_from)
     if json_:
         typer.echo(json.dumps(verdict.as_dict(), indent=1))
     else:
@@ -119,6 +138,10 @@ def verify(
             f"{'ok' if verdict.good else 'DAMAGED'}: {archive}: {verdict.scans} scans, {verdict.points} points"
             + _compared(verdict.as_dict())
         )
+        if redacted_from is not None and verdict.good:
+            typer.echo(f"static chunks are byte for byte those that {redacted_from} tells of")
+        if verdict.movable:
+            typer.echo(layers_in_words(verdict.movable, verdict.layers))
     raise typer.Exit(0 if verdict.good else 1)
 
 
@@ -131,6 +154,29 @@ def _compared(verdict: dict[str, Any]) -> str:
         f"{verdict['points_dropped']} points dropped, largest error {'-' if error is None else f'{error:g} m'}"
         + (f", {passed} messages of other topics unchanged" if passed is not None else "")
     )
+
+
+def redact(
+    archive: Path_,
+    out: Annotated[
+        Path,
+        typer.Option(
+            parser=location, metavar="FILE|URL", help="The new archive; its manifest lies beside it, .json."
+        ),
+    ],
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Of frames A to B - 1 only.")] = None,
+    classes: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME", help="Of these classes only, where they are stored.")
+    ] = None,
+) -> None:
+    """Take out what may move; the static layer stays byte for byte, which the manifest proves."""
+    from salpcc.pipeline.redact import Selection, describe, manifest_path
+    from salpcc.pipeline.redact import redact as redact_archive
+    from salpcc.stages.residual_code.archive.reader import ArchiveReader
+
+    chosen = Selection(parse_frames(frames), tuple(classes.split(",")) if classes else ())
+    manifest = redact_archive(archive, out, chosen)
+    typer.echo(f"{describe(manifest, ArchiveReader(out))}\narchive: {out}\nmanifest: {manifest_path(out)}")
 
 
 def recover(

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.filesize import decimal
 from rich.table import Table
 
-from salpcc.pipeline.cli.summary import smaller
+from salpcc.pipeline.cli.summary import layers_in_words, smaller
 
 STREAMS = ("geometry", "intensity", "classes", "side")
 _MOST_GOPS = 20  # shown without --scans: the first and the last of them
@@ -65,6 +65,7 @@ def _facts(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     said = f"{points:,}, all kept" if kept == points else f"{points:,}, {kept:,} kept"
     said += f", {dropped:,} that can move dropped" if dropped else ""
     yield "points", said + (f", {totals['strays']:,} off the lattice" if totals["strays"] else "")
+    yield "layers", layers_in_words(found["movable"], found["layers"])
     if points:
         coded = found["bytes"] - found["bytes_passing"]
         yield "size", f"{smaller(points, coded)}, {8 * coded / points:.2f} bits a point"

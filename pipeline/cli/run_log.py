@@ -12,15 +12,17 @@ import typer
 from salpcc.pipeline.cli.run_sequences import (
     CODING,
     INPUT,
-    KEPT,
     Baselines,
+    Classes,
     Device,
+    DropMovable,
     EffortLevel,
     FromStage,
     Gop,
     Json,
     KeepMovable,
     KeepShards,
+    MaxError,
     Out,
     Overwrite,
     Scheduler,
@@ -29,6 +31,7 @@ from salpcc.pipeline.cli.run_sequences import (
     Workers,
     config_of,
     execute,
+    parse_errors,
     parse_frames,
     stages_of,
 )
@@ -64,15 +67,10 @@ def log(
         ),
     ] = None,
     out: Out = Path("out"),
-    max_error: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="No point is farther than this from its source, in 3-D. [default: bit-exact]",
-            rich_help_panel=KEPT,
-        ),
-    ] = None,
+    max_error: MaxError = None,
     keep_movable: KeepMovable = False,
+    drop_movable: DropMovable = False,
+    classes: Classes = False,
     weights: Weights = "small",
     frames: Annotated[
         str | None,
@@ -134,8 +132,10 @@ def log(
             STDERR.print(told, soft_wrap=True, markup=False, style="dim")
     config = config_of(
         source=Bag.name,
-        max_error=max_error,
+        **parse_errors(max_error),
         keep_movable=keep_movable,
+        drop_movable=drop_movable,
+        classes=classes,
         weights=weights,
         effort=effort,
         gop=gop,

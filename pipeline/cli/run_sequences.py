@@ -46,7 +46,32 @@ Out = Annotated[
 ]
 KeepMovable = Annotated[
     bool,
-    typer.Option("--keep-movable", help="Keep what can move, such as cars and people.", rich_help_panel=KEPT),
+    typer.Option(
+        "--keep-movable",
+        help="Keep all in one layer, and ask no network what can move.",
+        rich_help_panel=KEPT,
+    ),
+]
+DropMovable = Annotated[
+    bool,
+    typer.Option(
+        "--drop-movable",
+        help="Leave out what can move, such as cars and people. [default: it has a layer of its own]",
+        rich_help_panel=KEPT,
+    ),
+]
+Classes = Annotated[
+    bool,
+    typer.Option("--classes", help="Store the classes that the network finds.", rich_help_panel=KEPT),
+]
+MaxError = Annotated[
+    str | None,
+    typer.Option(
+        metavar="METRES",
+        help="No point is farther than this from its source, in 3-D; static=METRES,movable=METRES for each layer; "
+        "with --profile paper, the step of ranges. [default: bit-exact; 0.001]",
+        rich_help_panel=KEPT,
+    ),
 ]
 Weights = Annotated[
     str,
@@ -164,16 +189,10 @@ def sequences(
             rich_help_panel=INPUT,
         ),
     ] = "semantickitti",
-    max_error: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="No point is farther than this from its source, in 3-D; with --profile paper, the step of ranges. "
-            "[default: bit-exact; 0.001]",
-            rich_help_panel=KEPT,
-        ),
-    ] = None,
+    max_error: MaxError = None,
     keep_movable: KeepMovable = False,
+    drop_movable: DropMovable = False,
+    classes: Classes = False,
     labels: Annotated[
         Labels,
         typer.Option(help="Ask the network what can move, or take .label files.", rich_help_panel=KEPT),
@@ -250,8 +269,10 @@ def sequences(
     config = config_of(
         source=source,
         profile=profile,
-        max_error=max_error,
+        **parse_errors(max_error),
         keep_movable=keep_movable,
+        drop_movable=drop_movable,
+        classes=classes,
         labels=labels,
         weights=weights,
         several_scans=several_scans,
@@ -290,6 +311,20 @@ def parse_frames(text: str | None) -> tuple[int, int] | None:
     if match is None:
         raise UsageError(f"--frames {text}: expected A:B, frame numbers A to B - 1, such as 0:100")
     return int(match[1] or 0), int(match[2] or UNBOUNDED)
+
+
+def parse_errors(text: str | None) -> dict[str, float | None]:
+    """Parse ``--max-error``: metres, or metres by layer; what is not named is bit-exact."""
+    try:
+        if text is None or "=" not in text:
+            return {"max_error": None if text is None else float(text)}
+        by_layer = dict(part.split("=", 1) for part in text.split(","))
+        if by_layer.keys() <= {"static", "movable"}:
+            static, movable = (float(by_layer.get(name, 0.0)) for name in ("static", "movable"))
+            return {"max_error": static or None, "movable_max_error": movable}
+    except ValueError:
+        pass
+    raise UsageError(f"--max-error {text}: expected metres, such as 0.02, or static=0.02,movable=0")
 
 
 def config_of(**values: object) -> RunConfig:

@@ -46,6 +46,9 @@ def summary(sequences: Iterable[dict[str, Any]], seconds: float) -> Iterator[str
     )
     kept += f", {dropped:,} that can move dropped ({100 * dropped / points:.1f} %)" if dropped else ""
     yield kept + (f", {lost:,} lost in the grid ({100 * lost / points:.1f} %)" if lost else "")
+    kinds = {one.get("movable") for one in figures}
+    if len(kinds) == 1 and (kind := kinds.pop()):
+        yield layers_in_words(kind, _together(figures))
     yield f"{scans:,} scans in {seconds:.1f} s, {scans / seconds:.3g} a second, with all that is around the codec"
     code, back = (
         [one[key] for one in figures if one[key] is not None]
@@ -53,3 +56,22 @@ def summary(sequences: Iterable[dict[str, Any]], seconds: float) -> Iterator[str
     )
     if code and back:
         yield f"the codec on one core: {median(code):.0f} ms to code a scan, {median(back):.0f} ms to decode it"
+
+
+def _together(figures: list[dict[str, Any]]) -> dict[str, dict[str, int]] | None:
+    """Points and bytes of each layer of all sequences."""
+    found = [one["layers"] for one in figures if one["layers"]]
+    return {
+        name: {key: sum(layers[name][key] for layers in found) for key in ("points", "bytes")}
+        for name in (found[0] if found else ())
+    } or None
+
+
+def layers_in_words(movable: str, layers: dict[str, dict[str, int]] | None) -> str:
+    """Say what became of what can move: kept, layered, dropped."""
+    if layers is None:
+        return "kept: everything in one layer"
+    sizes = {name: f"{layer['points']:,} points, {decimal(layer['bytes'])}" for name, layer in layers.items()}
+    if movable == "layered":
+        return f"layered: static {sizes['static']}; movable {sizes['movable']}"
+    return f"dropped: what can move; static {sizes['static']}"

@@ -69,7 +69,7 @@ def localise(request: LocaliseRequest) -> pa.Table:
         watch = nullcontext(Silent()) if request.quiet else bar(steps, "pairs registered")
         report: Report = stack.enter_context(watch)
         for reader in (reader for readers in by_sequence.values() for reader in readers):
-            if not reader.has_classes:
+            if reader.movable == "one layer" and not reader.has_classes:
                 report.say(f"{reader.path}: {NO_CLASSES}; it is registered with them only")
         asked = [
             (str(reader.path), str(request.against), name)

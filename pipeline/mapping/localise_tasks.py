@@ -142,7 +142,7 @@ def _ours(archives: Sequence[tuple[Archive, float]], place: int) -> Iterator[_Cl
             config.get("max_error") or 0.0,
             bits,
             scan.points,
-            None if scan.classes is None else _movable(scan),
+            _known_movable(archive, scan),
         )
 
 
@@ -159,6 +159,15 @@ def _theirs(scan: Scan, rivals: Sequence[Rival]) -> Iterator[_Cloud]:
         marks = np.repeat([False, True], [len(part) for part in back])
         bits = 8 * sum(map(len, data)) / len(rows)
         yield _Cloud(rival.name, rival.max_error, bits, np.concatenate(back), marks)
+
+
+def _known_movable(archive: Archive, scan: Scan) -> NDArray[np.bool_] | None:
+    """Mark the points of a decoded scan that may move, None where nothing tells."""
+    if scan.movable is not None:
+        return scan.movable
+    if scan.classes is not None:
+        return _movable(scan)
+    return None if archive.movable == "one layer" else np.zeros(len(scan), np.bool_)
 
 
 def _movable(scan: Scan) -> NDArray[np.bool_]:

@@ -88,7 +88,10 @@ def _unclassified(request: MapRequest) -> list[str]:
     """The archives that do not say what is movable, where that is to be taken out."""
     if request.config.keep_movable:
         return []
-    return [str(path) for path in request.archives if not ArchiveReader(path).has_classes]
+    readers = [ArchiveReader(path) for path in request.archives]
+    return [
+        str(reader.path) for reader in readers if reader.movable == "one layer" and not reader.has_classes
+    ]
 
 
 def _summary(

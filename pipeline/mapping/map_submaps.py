@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.archive import Layers, decode_scans
 from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_plan import Group
 from salpcc.pipeline.mapping.map_store import (
@@ -76,14 +76,18 @@ def gather_group(group: Group, config: MapConfig, out: Path) -> Submap:
     """
     store = ShardStore(out)
     reader = ArchiveReader(group.archive)
-    content = [zlib.crc32(payload.data) for payload in reader.payloads(group.gop)]
+    layers: Layers = "static" if reader.movable == "layered" and not config.keep_movable else "all"
+    payloads = reader.payloads(group.gop)
+    if layers == "all":
+        payloads += reader.movable_payloads(group.gop)
+    content = [zlib.crc32(payload.data) for payload in payloads]
     relevant = {k: v for k, v in config.model_dump().items() if k not in ("keep_movable", "fill")}
     parts = (VERSION, content, group.sequence, group.names, group.numbers, group.poses, group.check, relevant)
     digest = digest_of(*parts)
     entries = store.ref(group.sequence, "submap", group.number, digest)
     views = store.ref(group.sequence, "views", group.number, digest)
     if not (store.has(entries) and store.has(views)):
-        _gather(group, config, store, entries, views, reader)
+        _gather(group, config, store, entries, views, reader, layers)
     facts = store.facts(entries)
     checked = facts["agreement"]
     return Submap(
@@ -107,13 +111,14 @@ def _gather(
     entries: ShardRef,
     views: ShardRef,
     reader: ArchiveReader,
+    layers: Layers,
 ) -> None:
     started = time.process_time()
     given = group.given()
     first_motion: list[float] = []
 
     def scans() -> Iterator[Scan]:
-        for scan in decode_scans(reader, group.gop):
+        for scan in decode_scans(reader, group.gop, layers):
             if not first_motion and scan.motion is not None and scan.name == group.names[0]:
                 first_motion.extend(scan.motion.tolist())
             yield scan

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ def run(
     gop: int,
     max_error: float = 0.0,
     dropped: _Dropped | None = None,
+    found: _Dropped | None = None,
     in_order: bool = True,
     sample: bool = False,
 ) -> pa.Table:
@@ -55,6 +57,8 @@ def run(
         dropped: by scan the class ``(N,)`` of each source point that the task dropped, KEPT elsewhere (None: it
             dropped nothing). Without it, what was kept is found again and taken for movable what was not, and
             class IoU is given only for scans that dropped nothing.
+        found: by scan the class ``(N,)`` that was found for each source point, where the archive holds none: what is in its
+            movable layer counts as movable.
         in_order: whether the archive keeps the order of points; else it is of the grid of profile ``paper``,
             and ``max_error`` its accuracy.
         sample: keep the first scan's points, for the pictures of the report.
@@ -68,9 +72,9 @@ def run(
     for index, payload in enumerate(payloads.to_pylist()):
         scan, decode_ms = next(pulls, (None, 0.0))
         if scan is None or scan.name != payload["name"]:
-            found = "no more scans" if scan is None else f"scan {scan.name}"
+            came = "no more scans" if scan is None else f"scan {scan.name}"
             raise ArchiveError(
-                f"sequence {sequence}, GOP {gop}: expected scan {payload['name']}, decoded {found}"
+                f"sequence {sequence}, GOP {gop}: expected scan {payload['name']}, decoded {came}"
             )
         row = _sizes(payload) | {"sequence": sequence, "gop": gop, "time": scan.time, "decode_ms": decode_ms}
         row["points_decoded"] = len(scan)
@@ -78,7 +82,8 @@ def run(
         if source is not None:
             known = _known(source, dropped or {})
             if in_order:
-                row |= _compare(source, scan, max_error, known, sample and index == 0)
+                classes = (found or {}).get(source.name)
+                row |= _compare(source, scan, max_error, known, classes, sample and index == 0)
             else:
                 row |= _compare_unordered(
                     source, scan, max_error or GRID_ACCURACY, known, sample and index == 0
@@ -106,6 +111,9 @@ def _sizes(payload: Mapping[str, Any]) -> dict[str, Any]:
         "points_kept": payload["kept"],
         "points_dropped_movable": payload["dropped_movable"],
         "points_on_fallback": payload["strays"],
+        "movable": payload.get("movable"),
+        "points_movable": payload.get("points_movable"),
+        "bytes_movable": payload.get("bytes_movable"),
         "bytes_geometry": payload["geometry"],
         "bytes_intensity": payload["intensity"],
         "bytes_classes": payload["classes"],
@@ -122,7 +130,12 @@ def _known(source: Scan, dropped: _Dropped) -> NDArray[np.uint8] | None:
 
 
 def _compare(
-    source: Scan, decoded: Scan, max_error: float, dropped: NDArray[np.uint8] | None, sample: bool
+    source: Scan,
+    decoded: Scan,
+    max_error: float,
+    dropped: NDArray[np.uint8] | None,
+    found: NDArray[np.uint8] | None,
+    sample: bool,
 ) -> dict[str, Any]:
     """Measure one decoded scan against its source, point by point."""
     kept = None if dropped is None else dropped == KEPT
@@ -144,6 +157,8 @@ def _compare(
         "bit_exact": exact_points and exact_intensity and _same_message(source, decoded, kept),
         "intensity_exact": exact_intensity,
     }
+    if decoded.classes is None and found is not None and len(found) == len(source):
+        decoded = replace(decoded, classes=found[kept])
     if sample:
         row |= _sample(decoded, errors.distance)
     return row | _segmentation(source, decoded, kept, dropped, sample)
@@ -200,6 +215,8 @@ def _segmentation(
         return {}
     groups = np.full(len(source), MOVABLE, np.uint8)
     groups[kept] = GROUP_OF_CLASS[decoded.classes]
+    if decoded.movable is not None:
+        groups[np.flatnonzero(kept)[decoded.movable]] = MOVABLE
     row: dict[str, Any] = {"group_counts": group_counts(source.classes, groups).ravel()}
     if dropped is None and not kept.all():
         return row

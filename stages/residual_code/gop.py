@@ -14,6 +14,8 @@ from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.paper_grid import grid_to_scan
+from salpcc.stages.lattice.layers import alone as of_its_own
+from salpcc.stages.lattice.layers import both, movable_mask
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.predict.values import predict_sweeps
@@ -30,6 +32,21 @@ def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "defa
     group = list(sweeps)
     predictions = predict_sweeps(group, sensor, effort)
     return [encode_scan(s, sensor, p, models) for s, p in zip(group, predictions, strict=True)]
+
+
+def encode_layers(
+    layers: Iterable[tuple[Sweep, Sweep]], sensor: SensorModel, effort: str = "default"
+) -> list[tuple[Payload, Payload]]:
+    """Encode the static and movable layers of one GOP, predictions included."""
+    group = list(layers)
+    coded = encode_gop((static for static, _ in group), sensor, effort)
+    models = GopModels(sensor)
+    predictions = predict_sweeps((movable for _, movable in group), sensor, effort)
+    of_movable = (
+        encode_scan(movable, sensor, predicted, models, static)
+        for (static, movable), predicted in zip(group, predictions, strict=True)
+    )
+    return list(zip(coded, of_movable, strict=True))
 
 
 def decode_any(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep | GridSweep]:
@@ -62,3 +79,14 @@ def decode_gop(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep
     models = GopModels(sensor)
     for data in payloads:
         yield decode_scan(data, sensor, models)
+
+
+def layered_scan(static: Sweep, movable: Sweep, sensor: SensorModel, alone: bool = False) -> Scan:
+    """Return the scan of two decoded layers, or (``alone``) of the movable one.
+
+    Raises:
+        ArchiveError: they do not fit one another.
+    """
+    if alone:
+        return sweep_to_scan(of_its_own(movable, movable_mask(static, movable, sensor)), sensor)
+    return both(static, movable, sensor)

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import pyarrow as pa
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.grid_shards import table_to_grid_predictions, table_to_grids, table_to_planes
-from salpcc.schemas.shards import PAYLOAD, table_to_predictions, table_to_sweeps
+from salpcc.schemas.prediction import Prediction
+from salpcc.schemas.shards import (
+    PAYLOAD,
+    table_to_movable,
+    table_to_movable_predictions,
+    table_to_predictions,
+    table_to_sweeps,
+)
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.paper.grid_coder import GridModels, encode_grid
@@ -17,7 +25,7 @@ from salpcc.stages.residual_code.sensor.gop_models import GopModels
 from salpcc.stages.residual_code.sensor.payload import Payload
 from salpcc.stages.residual_code.sensor.scan_coder import encode_scan
 
-VERSION = 7
+VERSION = 8
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
@@ -28,39 +36,61 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
         else _sweeps(task, prediction, config)
     )
     rows = []
-    for i, (sweep, payload) in enumerate(coded):
+    for i, (sweep, payload, movable) in enumerate(coded):
+        dropped = task.column("dropped_movable")[i].as_py()
         rows.append(
             {
                 "name": sweep.name,
                 "time": sweep.time,
                 "frame_id": sweep.frame_id,
-                "n_points": sweep.n_points,
-                "kept": len(sweep),
-                "dropped_movable": task.column("dropped_movable")[i].as_py(),
-                "strays": len(sweep.stray_index) if isinstance(sweep, Sweep) else 0,
-                "data": payload.data,
-                **payload.sizes,
+                **_layer(sweep, payload, dropped),
+                "movable": movable and _layer(*movable, 0),
             }
         )
-    table = pa.Table.from_pylist(rows, schema=PAYLOAD.remove(len(PAYLOAD) - 1))
-    return table.append_column(PAYLOAD.field(len(PAYLOAD) - 1), task.column("dropped_classes"))
+    of_task = ("dropped_classes", "found_classes")
+    fields = [field for field in PAYLOAD if field.name not in of_task]
+    table = pa.Table.from_pylist(rows, schema=pa.schema(fields))
+    for name in of_task:
+        known = name in task.column_names
+        column = task.column(name) if known else pa.nulls(len(rows), PAYLOAD.field(name).type)
+        table = table.append_column(PAYLOAD.field(name), column)
+    return table
 
 
-def _sweeps(
-    task: pa.Table, prediction: pa.Table, config: RunConfig
-) -> Iterator[tuple[Sweep | GridSweep, Payload]]:
+def _layer(sweep: Sweep | GridSweep, payload: Payload, dropped: int) -> dict[str, Any]:
+    return {
+        "n_points": sweep.n_points,
+        "kept": len(sweep),
+        "dropped_movable": dropped,
+        "strays": len(sweep.stray_index) if isinstance(sweep, Sweep) else 0,
+        "data": payload.data,
+        **payload.sizes,
+    }
+
+
+_Coded = tuple[Sweep | GridSweep, Payload, tuple[Sweep, Payload] | None]  # the last: the movable layer
+
+
+def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
     sensor = load_sensor(config.sensor)
-    models = GopModels(sensor)
-    for sweep, predicted in zip(table_to_sweeps(task), table_to_predictions(prediction), strict=True):
-        yield sweep, encode_scan(sweep, sensor, predicted, models)
+    models, layer_models = GopModels(sensor), GopModels(sensor)
+    sweeps = table_to_sweeps(task)
+    movable: Sequence[Sweep | None] = table_to_movable(task) or [None] * len(sweeps)
+    guessed: Sequence[Prediction | None] = table_to_movable_predictions(prediction) or [None] * len(sweeps)
+    for sweep, predicted, layer, guess in zip(
+        sweeps, table_to_predictions(prediction), movable, guessed, strict=True
+    ):
+        payload = encode_scan(sweep, sensor, predicted, models)
+        if layer is None or guess is None:
+            yield sweep, payload, None
+        else:
+            yield sweep, payload, (layer, encode_scan(layer, sensor, guess, layer_models, sweep))
 
 
-def _grids(
-    task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig
-) -> Iterator[tuple[Sweep | GridSweep, Payload]]:
+def _grids(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
     models = GridModels(config.coder)
     given = zip(
         table_to_grids(task), table_to_planes(planes), table_to_grid_predictions(prediction), strict=True
     )
     for sweep, fitted, predicted in given:
-        yield sweep, encode_grid(sweep, fitted, predicted, models)
+        yield sweep, encode_grid(sweep, fitted, predicted, models), None

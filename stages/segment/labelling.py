@@ -24,7 +24,7 @@ def label_gop(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -
     Raises:
         WeightsError: the network is asked and its weights cannot be had.
     """
-    unasked = config.keep_movable and config.profile == "sensor"
+    unasked = config.keep_movable and config.profile == "sensor" and not config.uses_network
     if unasked or all(sweep.classes is not None for sweep in sweeps):
         return list(sweeps)
     if not config.uses_network:

@@ -1,6 +1,8 @@
-"""Segment: label every return, drop what the task does not keep, quantise what it keeps."""
+"""Segment: label every return, put what may move into a layer of its own or drop it, quantise what is kept."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -13,7 +15,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import source_places
 from salpcc.stages.segment.labelling import label_gop
-from salpcc.stages.segment.task import keep, quantise
+from salpcc.stages.segment.task import keep, quantise, split
 from salpcc.stages.segment.to_grid import to_grid
 
 VERSION = 6
@@ -22,14 +24,45 @@ VERSION = 6
 def run(table: pa.Table, config: RunConfig) -> pa.Table:
     """Turn a SWEEP table into a TASK table (profile ``paper``: a GRID_TASK table)."""
     sensor = load_sensor(config.sensor)
-    sweeps, dropped = [], []
+    sweeps, movable, dropped, found = [], [], [], []
+    bounds = (None, None) if config.profile == "paper" else (config.max_error, config.movable_bound)
     for labelled in label_gop(table_to_sweeps(table), sensor, config):
-        task = labelled if config.keep_movable else drop_movable(labelled, sensor)
-        dropped.append(None if config.keep_movable else dropped_classes(labelled, sensor))
-        bound = None if config.profile == "paper" else config.max_error
-        sweeps.append(task if bound is None else quantise(task, sensor, bound))
-    tasks = sweeps_to_table(sweeps, dropped)
+        known = config.keep_movable or labelled.classes is None
+        dropped.append(None if known else dropped_classes(labelled, sensor))
+        found.append(None if config.stores_classes else point_classes(labelled, sensor))
+        if config.movable == "layered":
+            static, moving = split_movable(labelled, sensor, bounds)
+            movable.append(moving if config.stores_classes else without_classes(moving))
+        else:
+            static = labelled if config.keep_movable else drop_movable(labelled, sensor)
+            static = static if bounds[0] is None else quantise(static, sensor, bounds[0])
+        sweeps.append(static if config.stores_classes else without_classes(static))
+    tasks = sweeps_to_table(sweeps, dropped, found, movable if config.movable == "layered" else None)
     return to_grid(tasks, sensor, config) if config.profile == "paper" else tasks
+
+
+def split_movable(
+    sweep: Sweep, sensor: SensorModel, bounds: tuple[float | None, float | None]
+) -> tuple[Sweep, Sweep]:
+    """Return the static and the movable layer of a sweep."""
+    assert sweep.classes is not None and sweep.stray_classes is not None
+    moves = GROUP_OF_CLASS[sweep.classes] == MOVABLE
+    return split(sweep, sensor, moves, GROUP_OF_CLASS[sweep.stray_classes] == MOVABLE, bounds)
+
+
+def without_classes(sweep: Sweep) -> Sweep:
+    """Return the sweep without its classes."""
+    return replace(sweep, classes=None, stray_classes=None)
+
+
+def point_classes(sweep: Sweep, sensor: SensorModel) -> NDArray[np.uint8] | None:
+    """Return the class of each point ``(N,)`` in file order, None where they are not known."""
+    if sweep.classes is None or sweep.stray_classes is None:
+        return None
+    on, off = source_places(sweep, sensor)
+    classes = np.empty(len(sweep), np.uint8)
+    classes[on], classes[off] = sweep.classes, sweep.stray_classes
+    return classes
 
 
 def drop_movable(sweep: Sweep, sensor: SensorModel) -> Sweep:
@@ -45,8 +78,6 @@ def drop_movable(sweep: Sweep, sensor: SensorModel) -> Sweep:
 
 def dropped_classes(sweep: Sweep, sensor: SensorModel) -> NDArray[np.uint8]:
     """Return what :func:`drop_movable` drops of a sweep: the class of each such point in file order, else KEPT."""
-    assert sweep.classes is not None and sweep.stray_classes is not None
-    on, off = source_places(sweep, sensor)
-    classes = np.empty(len(sweep), np.uint8)
-    classes[on], classes[off] = sweep.classes, sweep.stray_classes
+    classes = point_classes(sweep, sensor)
+    assert classes is not None
     return np.where(GROUP_OF_CLASS[classes] == MOVABLE, classes, np.uint8(KEPT))

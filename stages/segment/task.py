@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import coordinate_rounding
 from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
+from salpcc.stages.lattice.layers import placed, return_keys
 from salpcc.stages.lattice.order import azimuth_keys, in_order
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import (
@@ -55,6 +56,58 @@ def keep(sweep: Sweep, sensor: SensorModel, kept: NDArray[np.bool_], stray_kept:
     )
 
 
+def split(
+    sweep: Sweep,
+    sensor: SensorModel,
+    moves: NDArray[np.bool_],
+    stray_moves: NDArray[np.bool_],
+    bounds: tuple[float | None, float | None] = (None, None),
+) -> tuple[Sweep, Sweep]:
+    """Return the static and the movable layer of a sweep; the marked returns ``(M,)`` and strays ``(S,)`` are movable.
+
+    The static layer is what :func:`keep` leaves, to the bit; :func:`~salpcc.stages.lattice.layers.both` puts them together.
+
+    Args:
+        bounds: of each layer's error, metres; None is exact.
+    """
+    on, off = source_places(sweep, sensor)
+    mask = np.zeros(len(sweep), np.bool_)
+    mask[on[moves]] = True
+    mask[off[stray_moves]] = True
+    static, movable = keep(sweep, sensor, ~moves, ~stray_moves), keep(sweep, sensor, moves, stray_moves)
+    if sweep.cloud is not None:
+        loose = replace(movable.cloud or sweep.cloud, loose=sweep.cloud.loose)
+        movable = replace(movable, cloud=loose if mask.any() else None)
+    if bounds[0] is not None:
+        static = quantise(static, sensor, bounds[0])
+    if static.max_error > 0 or bounds[1] is not None:
+        theirs = np.flatnonzero(~mask)[source_places(static, sensor)[0]]
+        gaps = _gaps(static.laser, return_keys(static, sensor), theirs, movable.laser, on[moves])
+        movable = quantise(movable, sensor, bounds[1] or 0.0, gaps)
+    return static, placed(movable, static, mask)
+
+
+def _gaps(
+    laser: NDArray[np.uint8],
+    keys: NDArray[np.float64],
+    places: NDArray[np.int64],
+    of: NDArray[np.uint8],
+    at: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Keys that returns of the lasers ``of`` ``(M,)`` at the places ``at`` must lie between, ``(2, M)``.
+
+    Args:
+        laser, keys, places: of all returns that are known, in any order.
+    """
+    order = np.argsort(places)
+    laser, keys = laser[order], keys[order]
+    after = np.searchsorted(places[order], at)
+    ends = np.append(keys, 0.0), np.append(laser, 0).astype(np.int64)
+    low = np.where((after > 0) & (ends[1][after - 1] == of), ends[0][after - 1], -np.inf)
+    high = np.where((after < len(keys)) & (ends[1][after] == of), ends[0][after], np.inf)
+    return np.stack([low, high])
+
+
 def counts_per_level(max_error: float, count: float) -> int:
     """Return how many range counts one level may span for a 3-D error of ``max_error`` metres.
 
@@ -77,32 +130,44 @@ def _distances(points: NDArray[np.float32], others: NDArray[np.float32]) -> NDAr
     return distances
 
 
-def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
+def quantise(
+    sweep: Sweep, sensor: SensorModel, max_error: float, gaps: NDArray[np.float64] | None = None
+) -> Sweep:
     """Return a lossless sweep quantised so that no point is farther than ``max_error`` from its source.
 
     A return that would be farther, or out of its place in the file, becomes a stray. A bound below the
     1 mm rounding of the published points is met by staying lossless. So is one that float64 coordinates
     of a recorded cloud eat up when they become float32; else it is made tighter by as much.
+
+    Args:
+        gaps: ``(2, M)``, between which keys of :func:`~salpcc.stages.lattice.layers.return_keys` the place of each
+            return in the file lies, where another layer has returns of the scan, too.
     """
     if sweep.cloud is not None:
         rounding = coordinate_rounding(sweep_to_scan(sweep, sensor))
-        if not rounding <= max_error / 2:
-            return sweep
-        max_error -= rounding
-    if max_error < _ROUNDING and len(sweep.laser):
+        max_error = max_error - rounding if rounding <= max_error / 2 else 0.0
+    exact = max_error == 0 or (max_error < _ROUNDING and len(sweep.laser) > 0)
+    if exact and gaps is None:
         return sweep
-    moved = sweep.motion if len(sweep.laser) == 0 else None
+    moved = sweep.motion if len(sweep.laser) == 0 and gaps is None else None
     source, by_file = return_points(sweep, sensor)
-    step = counts_per_level(max_error, sensor.count)
-    coarse = replace(sweep, step=step, max_error=max_error, count=(sweep.count // step).astype(np.int32))
+    coarse = sweep
+    if not exact:
+        step = counts_per_level(max_error, sensor.count)
+        coarse = replace(sweep, step=step, max_error=max_error, count=(sweep.count // step).astype(np.int32))
     model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(coarse))
     points = (model if sweep.motion is None else twist(model, sweep.motion)).astype(np.float32)
-    fits = _distances(points, source) <= max_error
+    keys = azimuth_keys(model)
+    fits = np.ones(len(source), np.bool_) if exact else _distances(points, source) <= max_error
+    if gaps is not None:
+        fits &= (gaps[0] < keys) & (keys < gaps[1])
     # Coarser ranges turn a few points past their neighbours in azimuth: find those in file order.
     candidates = by_file[fits[by_file]]
-    in_place = in_order(sweep.laser[candidates].astype(np.int64), azimuth_keys(model)[candidates])
+    in_place = in_order(sweep.laser[candidates].astype(np.int64), keys[candidates])
     fits[candidates[~in_place]] = False
 
+    if exact and fits.all():
+        return sweep
     none = np.full(int(fits.sum()), NO_CORRECTION, np.uint8)
     lost = np.flatnonzero(~fits)
     places = np.empty(len(fits), np.int64)
@@ -112,7 +177,8 @@ def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
     stray_points = np.concatenate(
         [sweep.stray_points, np.column_stack([source[lost], sweep.intensity[lost]])]
     )[in_turn]
-    stray_points[:, :3] = snap(stray_points[:, :3], max_error, sensor, moved)
+    if not exact:
+        stray_points[:, :3] = snap(stray_points[:, :3], max_error, sensor, moved)
     classes = None
     if sweep.classes is not None and sweep.stray_classes is not None:
         classes = np.concatenate([sweep.stray_classes, sweep.classes[lost]])[in_turn]
@@ -122,8 +188,8 @@ def quantise(sweep: Sweep, sensor: SensorModel, max_error: float) -> Sweep:
         tick=sweep.tick[fits],
         count=coarse.count[fits],
         intensity=sweep.intensity[fits],
-        millimetre=none,
-        ulp=none,
+        millimetre=sweep.millimetre[fits] if exact else none,
+        ulp=sweep.ulp[fits] if exact else none,
         classes=None if sweep.classes is None else sweep.classes[fits],
         stray_index=stray[in_turn],
         stray_points=stray_points,

@@ -4,7 +4,6 @@ import json
 import random
 import struct
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,10 +17,10 @@ from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.residual_code.archive import writer as archive_writer
+from salpcc.stages.residual_code.archive import format as archive_format
 from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
-from salpcc.stages.residual_code.archive.writer import ArchiveWriter, message_of, write_archive
+from salpcc.stages.residual_code.archive.writer import ArchiveWriter, write_archive
 
 NAMES = [f"{n:06d}" for n in range(5)]
 
@@ -200,8 +199,7 @@ def test_an_archive_of_version_1_0_is_recovered_too(
         "_attach",
         lambda self, name, content: name == "gop.json" or attach(self, name, content),
     )
-    monkeypatch.setattr(archive_writer, "ARCHIVE_VERSION", "1.0")
-    monkeypatch.setattr(archive_writer, "message_of", partial(message_of, version="1.0"))
+    monkeypatch.setattr(archive_format, "ARCHIVE_VERSION", "1.0")
     reader, old = ArchiveReader(whole), tmp_path / "old.mcap"
     write_archive(old, reader.facts, [reader.payloads(gop) for gop in range(3)])
     monkeypatch.undo()

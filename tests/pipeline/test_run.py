@@ -237,7 +237,7 @@ def test_two_runs_on_one_output_are_refused(toy_root: Path, tmp_path: Path, run:
 
 
 def test_given_labels_drop_movables_and_count_them(toy_root: Path, tmp_path: Path, run: Run) -> None:
-    result = run(toy_root, tmp_path, "01", keep_movable=False, labels="given")
+    result = run(toy_root, tmp_path, "01", keep_movable=False, drop_movable=True, labels="given")
     assert result.report is not None
     figures = result.report["sequences"]["01"]
     share = figures["points_dropped_movable"] / figures["points_in"]

@@ -49,6 +49,7 @@ def figures(metrics: pa.Table, times: pa.Table, container_bytes: int = 0) -> dic
         "bpp": {key: bits_per_point(sizes[key], points) for key in ("geometry", "intensity", "total")},
         "compression_rate_percent": compression_rate(sizes["total"], points),
         "geometry_rate_percent": compression_rate(sizes["geometry"], points),
+        **layer_figures(metrics),
         **error_figures(metrics),
         "bit_exact_scans": count(metrics, "bit_exact"),
         "intensity_exact_scans": count(metrics, "intensity_exact"),
@@ -57,6 +58,23 @@ def figures(metrics: pa.Table, times: pa.Table, container_bytes: int = 0) -> dic
         "decode_ms_per_scan": median(metrics, "decode_ms"),
         "iou": iou_figures(metrics),
     }
+
+
+def layer_figures(metrics: pa.Table) -> dict[str, Any]:
+    """Say what became of what may move, and the points and bytes of each layer: payloads, without the container.
+
+    ``layers`` is None where all is in one layer.
+    """
+    kinds = sorted(set(metrics.column("movable").drop_null().to_pylist()))
+    if not kinds or kinds == ["one layer"]:
+        return {"movable": kinds[0] if kinds else None, "layers": None}
+    movable = {"points": total(metrics, "points_movable"), "bytes": total(metrics, "bytes_movable")}
+    coded = sum(total(metrics, f"bytes_{stream}") for stream in STREAMS)
+    static = {
+        "points": total(metrics, "points_decoded") - movable["points"],
+        "bytes": coded - movable["bytes"],
+    }
+    return {"movable": " and ".join(kinds), "layers": {"static": static, "movable": movable}}
 
 
 def error_figures(rows: pa.Table) -> dict[str, Any]:

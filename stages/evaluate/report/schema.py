@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-VERSION = 5
+VERSION = 6
 
 # One row per scan, measured on what was decoded from the archive. A null in a measured column means that
 # there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
@@ -24,6 +24,9 @@ METRICS = pa.schema(
         ("points_dropped_movable", pa.int64()),
         ("points_decoded", pa.int64()),
         ("points_on_fallback", pa.int64()),
+        ("movable", pa.string()),  # what became of what may move: layered, dropped, one layer
+        ("points_movable", pa.int64()),  # of the movable layer, in the figures above and below, too
+        ("bytes_movable", pa.int64()),
         ("bytes_geometry", pa.int64()),
         ("bytes_intensity", pa.int64()),
         ("bytes_classes", pa.int64()),

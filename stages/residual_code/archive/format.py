@@ -6,20 +6,23 @@ Here: what an archive holds. ``archive_writer`` and ``archive_reader`` are each 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from salpcc.stages.lattice.sensor_model import SensorModel
 
-ARCHIVE_VERSION = "1.1"
+ARCHIVE_VERSION = "1.1"  # of archives with one layer
+LAYERED_VERSION = "2.0"  # of those with a movable layer, or of which it was taken out
 MAGIC = b"\x89MCAP0\r\n"
 TOPIC = "/points/salpcc"
+MOVABLE_TOPIC = "/points/salpcc/movable"
+MOVABLE_CHANNEL = "movable_channel"  # key of the metadata: id of its channel
 LIBRARY = "salpcc-pipeline"  # without a version: the same scans give the same bytes from any release
 
 
 @dataclass(frozen=True)
 class ScanEntry:
-    """What the index of an archive says about one scan: counts of points, and bytes by stream."""
+    """What the index of an archive says about one scan, or one layer of it: counts of points, and bytes by stream."""
 
     name: str
     n_points: int
@@ -31,15 +34,32 @@ class ScanEntry:
     classes: int
     side: int
 
+    @property
+    def bytes(self) -> int:
+        """Bytes of the payload."""
+        return self.geometry + self.intensity + self.classes + self.side
+
+    def with_layer(self, movable: ScanEntry) -> ScanEntry:
+        """Return the entry of both layers of a scan, this being that of the static one."""
+        sums = {
+            name: getattr(self, name) + getattr(movable, name)
+            for name in ("kept", "strays", "geometry", "intensity", "classes", "side")
+        }
+        return replace(self, dropped_movable=self.dropped_movable - movable.kept, **sums)
+
 
 @dataclass(frozen=True)
 class ScanPayload:
-    """One coded scan: its entry, time stamp (ns), frame id, and the payload of the entropy coder."""
+    """One coded scan, or one layer of it: its entry, time stamp (ns), frame id, and the payload of the entropy coder.
+
+    ``movable`` is the other layer of the scan where this is the static one, and both are to be written.
+    """
 
     entry: ScanEntry
     time: int
     frame_id: str
     data: bytes
+    movable: ScanPayload | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +68,7 @@ class ArchiveFacts:
 
     ``config`` is :attr:`salpcc.schemas.config.RunConfig.coding`; ``source`` the kind of source and
     ``inputs`` the digest of the source files and the configuration, by which a run knows it is done.
+    ``layers``: the archive has a movable layer, or had one.
     """
 
     sequence: str
@@ -55,6 +76,12 @@ class ArchiveFacts:
     inputs: str
     config: dict[str, Any]
     sensor: SensorModel
+    layers: bool = False
+
+    @property
+    def version(self) -> str:
+        """Version of the archive."""
+        return LAYERED_VERSION if self.layers else ARCHIVE_VERSION
 
 
 def sequence_number(name: str, place: int) -> int:

@@ -30,11 +30,14 @@ from salpcc.schemas.files import location, read_at, reading, why
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records, stream
 from salpcc.schemas.messages import CloudMessage
+from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import (
-    ARCHIVE_VERSION,
+    LAYERED_VERSION,
     MAGIC,
+    MOVABLE_CHANNEL,
     ArchiveFacts,
+    ScanEntry,
     ScanPayload,
     entry_of,
     file_name,
@@ -57,7 +60,8 @@ class ArchiveReader:
     Attributes:
         path: the file, or its URL.
         facts: sequence, source, inputs, configuration and sensor model.
-        gops: the entries of the scans, by GOP number; a GOP all of whose scans failed is empty.
+        gops: the entries of the scans (of their static layers), by GOP number; a GOP all of whose scans failed is empty.
+        movable_gops: the entries of their movable layers, where the archive holds them, of the first scans of each GOP.
         log: channels of the log that the scans were in; empty for scans that were files.
     """
 
@@ -76,18 +80,64 @@ class ArchiveReader:
         except PARSE_ERRORS as error:
             raise ArchiveError(f"{self.path}: the index is damaged ({error})") from error
 
+    @property
+    def movable(self) -> Movable:
+        """What became of what may move."""
+        if self.facts.layers:
+            return "layered" if any(self.movable_gops) else "dropped"
+        config = self.facts.config
+        kept = config.get(
+            "keep_movable", not any(entry.dropped_movable for gop in self.gops for entry in gop)
+        )
+        return "one layer" if kept else "dropped"
+
+    @property
+    def entries(self) -> list[tuple[ScanEntry, ...]]:
+        """The entries of the scans by GOP, both layers of a scan together where the archive holds them."""
+        return [
+            (
+                *(entry.with_layer(movable) for entry, movable in zip(gop, layer, strict=False)),
+                *gop[len(layer) :],
+            )
+            for gop, layer in zip(self.gops, self.movable_gops, strict=True)
+        ]
+
     def payloads(self, gop: int) -> list[ScanPayload]:
-        """Read the coded scans of one GOP.
+        """Read the coded scans of one GOP; of a layered archive their static layers, and no byte of the others.
 
         Raises:
             ArchiveError: the chunk is damaged, or does not hold the scans that the index lists.
         """
-        entries = self.gops[gop]
-        if not entries:
+        return self._payloads(f"GOP {gop}", self.gops[gop], self._chunks.get(gop))
+
+    def movable_payloads(self, gop: int) -> list[ScanPayload]:
+        """Read the movable layers of one GOP, those of its first scans where later ones were lost.
+
+        Raises:
+            ArchiveError: as for :meth:`payloads`.
+        """
+        return self._payloads(
+            f"movable layer of GOP {gop}", self.movable_gops[gop], self._movable_chunks.get(gop)
+        )
+
+    def layer_chunks(self) -> list[tuple[str, int, ChunkIndex]]:
+        """Return layer (``static`` or ``movable``), GOP and index of every chunk of coded scans, in the order of the file."""
+        found = [("static", gop, chunk) for gop, chunk in self._chunks.items()]
+        found += [("movable", gop, chunk) for gop, chunk in self._movable_chunks.items()]
+        return sorted(found, key=lambda row: row[2].chunk_start_offset)
+
+    def chunk_bytes(self, chunk: ChunkIndex) -> bytes:
+        """Return the bytes of a chunk's record, as they lie in the file."""
+        return self._bytes(chunk.chunk_start_offset, chunk.chunk_length)
+
+    def _payloads(
+        self, what: str, entries: tuple[ScanEntry, ...], at: ChunkIndex | None
+    ) -> list[ScanPayload]:
+        if not entries or at is None:
             return []
-        where = f"{self.path}: GOP {gop} (scans {entries[0].name} to {entries[-1].name})"
+        where = f"{self.path}: {what} (scans {entries[0].name} to {entries[-1].name})"
         try:
-            chunk = Chunk.read(self._record(self._chunks[gop].chunk_start_offset, Opcode.CHUNK))
+            chunk = Chunk.read(self._record(at.chunk_start_offset, Opcode.CHUNK))
             if chunk.compression or zlib.crc32(chunk.data) != chunk.uncompressed_crc:
                 raise ArchiveError(f"{where}: CRC mismatch, the file is damaged")
             found = [content for opcode, _, content in records(chunk.data) if opcode == Opcode.MESSAGE]
@@ -150,7 +200,7 @@ class ArchiveReader:
     @property
     def container_bytes(self) -> int:
         """Bytes of the file that are neither payload nor passing: index, sensor model, configuration, framing."""
-        coded = (e.geometry + e.intensity + e.classes + e.side for gop in self.gops for e in gop)
+        coded = (entry.bytes for gops in (self.gops, self.movable_gops) for gop in gops for entry in gop)
         return self.size - sum(coded) - self.passing_bytes
 
     def check(self) -> None:
@@ -200,6 +250,7 @@ class ArchiveReader:
         metadata: dict[str, MetadataIndex] = {}
         enclosed: list[AttachmentIndex | MetadataIndex] = []
         schemas: dict[int, Schema] = {}
+        channels: list[Channel] = []
         self.log: dict[int, LogChannel] = {}
         for opcode, _, content in records(summary):
             record = stream(content)
@@ -217,39 +268,64 @@ class ArchiveReader:
                 schema = Schema.read(record)
                 schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(record)
-                if channel.id > 1:
-                    passing = passing_channel(channel, schemas.get(channel.schema_id))
-                    self.log[passing.id] = passing
+                channels.append(Channel.read(record))
         if "salpcc" not in metadata:
             raise ArchiveError(self._no_archive)
         of_log = (at for at in enclosed if at.name.startswith(ENCLOSED))
         self._enclosed = sorted(of_log, key=lambda at: at.offset)
         self._data_end = footer.summary_start - 9 - 4
-        self.facts = self._facts(metadata["salpcc"], attachments)
+        self.facts, movable = self._facts(metadata["salpcc"], attachments)
+        for channel in channels:
+            if channel.id not in (1, movable):
+                passing = passing_channel(channel, schemas.get(channel.schema_id))
+                self.log[passing.id] = passing
         index = json.loads(self._attachment(attachments["index.json"]))
         self.gops = [tuple(entry_of(row) for row in gop) for gop in index]
-        full = [number for number, gop in enumerate(self.gops) if gop]
+        layer: list[Any] = [[] for _ in self.gops]
+        if "movable.json" in attachments and self.facts.layers:
+            layer = json.loads(self._attachment(attachments["movable.json"]))
+        self.movable_gops = [tuple(entry_of(row) for row in gop) for gop in layer]
+        pairs = zip(self.gops, self.movable_gops, strict=True)
+        if any(
+            [e.name for e in movable_gop] != [e.name for e in gop][: len(movable_gop)]
+            for gop, movable_gop in pairs
+        ):
+            raise ArchiveError(f"{self.path}: the movable layer is of other scans")
         chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
         self._passing = [chunk for chunk in chunks if chunk.compression]
         chunks = [chunk for chunk in chunks if not chunk.compression]
+        of_movable = [chunk for chunk in chunks if movable in chunk.message_index_offsets]
+        self._movable_chunks = self._by_gop(self.movable_gops, of_movable)
+        self._chunks = self._by_gop(self.gops, [chunk for chunk in chunks if chunk not in of_movable])
+
+    def _by_gop(self, gops: list[tuple[ScanEntry, ...]], chunks: list[ChunkIndex]) -> dict[int, ChunkIndex]:
+        """Say of which GOP each chunk of a layer is."""
+        full = [number for number, gop in enumerate(gops) if gop]
         if len(full) != len(chunks):
             raise ArchiveError(f"{self.path}: {len(chunks)} chunks for {len(full)} GOPs")
-        self._chunks = dict(zip(full, chunks, strict=True))
+        return dict(zip(full, chunks, strict=True))
 
-    def _facts(self, at: MetadataIndex, attachments: dict[str, AttachmentIndex]) -> ArchiveFacts:
+    def _facts(
+        self, at: MetadataIndex, attachments: dict[str, AttachmentIndex]
+    ) -> tuple[ArchiveFacts, int | None]:
+        """The facts, and the id of the movable layer's channel."""
         about = Metadata.read(self._record(at.offset, Opcode.METADATA)).metadata
         version = about["archive_version"]
-        if int(version.split(".")[0]) > int(ARCHIVE_VERSION.split(".")[0]):
+        if int(version.split(".")[0]) > int(LAYERED_VERSION.split(".")[0]):
             raise ArchiveError(
-                f"{self.path}: archive version {version} is newer than this tool reads ({ARCHIVE_VERSION}); update it"
+                f"{self.path}: archive version {version} is newer than this tool reads ({LAYERED_VERSION}); update it"
             )
+        movable = int(about[MOVABLE_CHANNEL]) if MOVABLE_CHANNEL in about else None
         try:
             sensor = SensorModel.from_json(self._attachment(attachments["sensor.json"]).decode())
         except SalpccError as error:
             raise ArchiveError(f"{self.path}: {error}") from error
         config: dict[str, Any] = dict(json.loads(self._attachment(attachments["config.json"])))
-        return ArchiveFacts(file_name(about["sequence"]), about["source"], about["inputs"], config, sensor)
+        sequence = file_name(about["sequence"])
+        facts = ArchiveFacts(
+            sequence, about["source"], about["inputs"], config, sensor, layers=movable is not None
+        )
+        return facts, movable
 
     def _attachment(self, at: AttachmentIndex) -> bytes:
         raw = self._record_bytes(at.offset, Opcode.ATTACHMENT)

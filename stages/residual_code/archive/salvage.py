@@ -18,9 +18,12 @@ from mcap.records import Metadata
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location, mapped, why
+from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
 from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
+    LAYERED_VERSION,
+    MOVABLE_CHANNEL,
     ArchiveFacts,
     ScanEntry,
     ScanPayload,
@@ -77,17 +80,33 @@ class Salvage:
                 "(`mcap recover` mends a log, `salpcc-pipeline run log` archives it)"
             )
         self.facts = self._facts(sensor)
-        self._index = self._read_index()
+        self._index = self._read_index("index.json")
         self._rows = {entry.name: entry for gop in self._index or [] for entry in gop}
+        layer = self._read_index("movable.json")
+        self._movable_rows = {entry.name: entry for gop in layer or [] for entry in gop}
         self._place_gops()
         said = Counter(c.frame_id for place in self._places.values() for _, c in clouds(self._data, place))
         self._frame_ids = {frame_id for frame_id, times in said.items() if times > 1}
         self.gops = [tuple(p.entry for p in self.payloads(number)) for number in range(len(self.names))]
 
+    @property
+    def movable(self) -> Movable:
+        """As of a reader, as far as it can be known; scans whose movable layer is gone are still of two layers."""
+        return "layered" if self.facts.layers and self._movable_places else "dropped"
+
     def payloads(self, gop: int) -> list[ScanPayload]:
-        """Return the scans of a GOP up to the first that is damaged."""
+        """Return the scans of a GOP (their static layers) up to the first that is damaged."""
+        return self._payloads(gop, self._places.get(gop), 1, self._rows)
+
+    def movable_payloads(self, gop: int) -> list[ScanPayload]:
+        """Return the movable layers of a GOP up to the first that is damaged."""
+        return self._payloads(gop, self._movable_places.get(gop), self._movable or 0, self._movable_rows)
+
+    def _payloads(
+        self, gop: int, place: Place | None, channel: int, rows: dict[str, ScanEntry]
+    ) -> list[ScanPayload]:
         found: list[ScanPayload] = []
-        place, names = self._places.get(gop), self.names[gop]
+        names = self.names[gop]
         if place is None:
             return found
         content = zip(place.messages, clouds(self._data, place), names or count(), strict=False)
@@ -97,9 +116,9 @@ class Salvage:
                 entry = _entry(name, cloud.data)
             except BROKEN:
                 break
-            scan = ScanPayload(self._rows.get(name, entry), message.log_time, cloud.frame_id, cloud.data)
+            scan = ScanPayload(rows.get(name, entry), message.log_time, cloud.frame_id, cloud.data)
             builder = RecordBuilder()
-            message_of(scan, message.sequence, self._version).write(builder)
+            message_of(scan, message.sequence, self._version, channel).write(builder)
             same = builder.end()[RECORD_HEAD:] == self._data[start:end] and cloud.frame_id in self._frame_ids
             if not (place.whole or same):
                 break
@@ -112,13 +131,15 @@ class Salvage:
 
     def _facts(self, sensor: SensorModel | None) -> ArchiveFacts:
         self._version, about = ARCHIVE_VERSION, {}
+        self._movable: int | None = None
         try:
             at = self._data.find(struct.pack("<I", 6) + b"salpcc")
             about = Metadata.read(
                 ReadDataStream(BytesIO(self._data[max(at, 0) : max(at, 0) + 4096]))
             ).metadata
             self._version = about["archive_version"]
-            newer = int(self._version.split(".")[0]) > int(ARCHIVE_VERSION.split(".")[0])
+            newer = int(self._version.split(".")[0]) > int(LAYERED_VERSION.split(".")[0])
+            self._movable = int(about[MOVABLE_CHANNEL]) if MOVABLE_CHANNEL in about else None
             sequence = file_name(about["sequence"])
         except BROKEN:
             newer, sequence = False, self.path.stem
@@ -130,7 +151,10 @@ class Salvage:
             self.notes.append("the configuration is gone")
             config = {}
         model = self._sensor(sensor, config.get("sensor_digest"))
-        return ArchiveFacts(sequence, about.get("source", "unknown"), "", config, model)
+        if self._movable is None and config.get("layers"):
+            self._version, self._movable = LAYERED_VERSION, 2  # as where there was no log
+        source = about.get("source", "unknown")
+        return ArchiveFacts(sequence, source, "", config, model, self._movable is not None)
 
     def _sensor(self, given: SensorModel | None, digest: object) -> SensorModel:
         document = self._only("sensor.json")
@@ -146,9 +170,9 @@ class Salvage:
     def _only(self, name: str) -> Any:
         return next((content for _, _, content in attachments(self._data, name)), None)
 
-    def _read_index(self) -> list[tuple[ScanEntry, ...]] | None:
+    def _read_index(self, name: str) -> list[tuple[ScanEntry, ...]] | None:
         try:
-            index = self._only("index.json")
+            index = self._only(name)
             return [tuple(entry_of(row) for row in gop) for gop in index]
         except BROKEN:
             return None
@@ -173,21 +197,27 @@ class Salvage:
         flat = [(number, name) for number, names in index.items() for name in names]
         by_sequence = {sequence_number(name, place): number for place, (number, name) in enumerate(flat)}
         self._places: dict[int, Place] = {}
+        self._movable_places: dict[int, Place] = {}
         last = -1
         for place in chunks(self._data, records):
-            first = next((message.sequence for message, _ in clouds(self._data, place)), None)
-            if first is None:
+            message = next((message for message, _ in clouds(self._data, place)), None)
+            if message is None:
+                continue
+            first = message.sequence
+            if message.channel_id == self._movable:  # right behind the static layer, if that is there
+                self._movable_places.setdefault(by_sequence.get(first, last), place)
                 continue
             last = records[place.start][0] if place.start in records else by_sequence.get(first, last + 1)
             self._places.setdefault(last, place)
         self.names = [known.get(number) for number in range(max([-1, *known, *self._places]) + 1)]
+        self._movable_places = {g: p for g, p in self._movable_places.items() if 0 <= g < len(self.names)}
         self.all_known = self._index is not None or (None not in self.names and self._is_last(last, records))
 
     def _is_last(self, gop: int, records: dict[int, Any]) -> bool:
         """Tell whether the index, damaged as it is, starts right after what was found last."""
         at = max([0, *records])
         if gop in self._places:
-            after = self._places[gop].end
+            after = self._movable_places.get(gop, self._places[gop]).end
             opcode, length = struct.unpack(
                 "<BQ", self._data[after : after + RECORD_HEAD].ljust(RECORD_HEAD, b"\0")
             )

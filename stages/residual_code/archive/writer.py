@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterable
 from dataclasses import astuple
+from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -43,6 +44,8 @@ from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
     LIBRARY,
     MAGIC,
+    MOVABLE_CHANNEL,
+    MOVABLE_TOPIC,
     TOPIC,
     ArchiveFacts,
     ScanPayload,
@@ -56,8 +59,8 @@ from salpcc.stages.residual_code.archive.passing import (
 )
 
 
-def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION) -> Message:
-    """The message of one scan; ``place`` is the number of messages before it."""
+def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION, channel: int = 1) -> Message:
+    """The message of one scan, or one layer of it; ``place`` is the number of scans before it."""
     cloud = CloudMessage(
         payload.time,
         payload.frame_id,
@@ -66,7 +69,14 @@ def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION)
         format=f"salpcc/{version}",
         is_dense=payload.entry.strays == 0,
     )
-    return Message(1, payload.time, cloud.to_cdr(), payload.time, sequence_number(payload.entry.name, place))
+    number = sequence_number(payload.entry.name, place)
+    return Message(channel, payload.time, cloud.to_cdr(), payload.time, number)
+
+
+def movable_channel(log: Iterable[LogChannel]) -> int:
+    """Return the id of the movable layer's channel: the first that no channel of the log has."""
+    taken = {channel.id + 1 for channel in log}
+    return next(number for number in count(2) if number not in taken)
 
 
 class ArchiveWriter:
@@ -78,6 +88,10 @@ class ArchiveWriter:
         self._at = 0
         self._crc = 0
         self._index: list[list[tuple[Any, ...]]] = []
+        self._movable_index: list[list[tuple[Any, ...]]] = []
+        self._version = facts.version
+        log = tuple(log)
+        self._movable = movable_channel(log) if facts.layers else None
         self._chunks: list[McapRecord] = []
         self._attachments: list[McapRecord] = []
         self._metadata: list[McapRecord] = []
@@ -87,6 +101,10 @@ class ArchiveWriter:
         self._schemas: list[McapRecord] = [Schema(1, SCHEMA_TEXT[COMPRESSED].encode(), "ros2msg", COMPRESSED)]
         # The ros2 profile asks for the QoS key.
         self._channels: list[McapRecord] = [Channel(1, TOPIC, "cdr", {"offered_qos_profiles": ""}, 1)]
+        if self._movable is not None:
+            about = {"offered_qos_profiles": ""}
+            self._channels.append(Channel(self._movable, MOVABLE_TOPIC, "cdr", about, 1))
+            self._counts[self._movable] = 0
         for channel in log:
             schema, passing = passing_records(channel)
             self._schemas += schema
@@ -98,11 +116,13 @@ class ArchiveWriter:
         for record in [*self._schemas, *self._channels]:
             self._record(record)
         described = {
-            "archive_version": ARCHIVE_VERSION,
+            "archive_version": facts.version,
             "sequence": facts.sequence,
             "source": facts.source,
             "inputs": facts.inputs,
         }
+        if self._movable is not None:
+            described[MOVABLE_CHANNEL] = str(self._movable)
         self._enclose(Metadata("salpcc", described))
         self._attach("sensor.json", json.loads(facts.sensor.to_json()))
         self._attach("config.json", facts.config)
@@ -110,26 +130,43 @@ class ArchiveWriter:
         self._attach("classes.json", classes)
 
     def add_gop(self, payloads: list[ScanPayload]) -> None:
-        """Write one GOP as one chunk; an empty one (all its scans failed) only holds its number."""
+        """Write one GOP as one chunk a layer; an empty one (all its scans failed) only holds its number.
+
+        Scans without their movable layer are behind those that have it.
+        """
         names = [payload.entry.name for payload in payloads]
         # Before each chunk, so that what is left of a broken file can still be told by name.
         self._attach("gop.json", {"gop": len(self._index), "scans": names, "sequence": self._sequence})
         self._index.append([astuple(payload.entry) for payload in payloads])
+        self._movable_index.append([])
         if not payloads:
             return
+        before = self._counts[1]
+        self._chunk(payloads, before, 1)
+        if self._movable is None:
+            return
+        layer = [payload.movable for payload in payloads if payload.movable is not None]
+        self._movable_index[-1] += [astuple(payload.entry) for payload in layer]
+        if layer:
+            self._chunk(layer, before, self._movable)
+
+    def _chunk(self, payloads: list[ScanPayload], before: int, channel: int) -> None:
+        """Write a layer of one GOP; ``before``: scans of earlier ones."""
         builder = RecordBuilder()
         offsets = []
-        for payload in payloads:
+        for place, payload in enumerate(payloads, before):
             offsets.append((payload.time, builder.count))
-            message_of(payload, self._counts[1]).write(builder)
+            message_of(payload, place, self._version, channel).write(builder)
             self._times.append(payload.time)
-            self._counts[1] += 1
+            self._counts[channel] += 1
         data = bytes(builder.end())
         first, last = min(t for t, _ in offsets), max(t for t, _ in offsets)
         start, length = self._record(Chunk("", data, last, first, zlib.crc32(data), len(data)))
-        index_at, index_length = self._record(MessageIndex(1, offsets))
+        index_at, index_length = self._record(MessageIndex(channel, offsets))
         self._chunks.append(
-            ChunkIndex(length, start, "", len(data), last, index_length, {1: index_at}, first, len(data))
+            ChunkIndex(
+                length, start, "", len(data), last, index_length, {channel: index_at}, first, len(data)
+            )
         )
 
     def pass_messages(self, messages: Iterable[LogMessage]) -> None:
@@ -158,6 +195,8 @@ class ArchiveWriter:
     def finish(self, enclosed: Iterable[Enclosed] = ()) -> None:
         """Write the index, what the log encloses, and the summary."""
         self._attach("index.json", self._index)
+        if any(self._movable_index):
+            self._attach("movable.json", self._movable_index)
         for found in enclosed:
             self._enclose(passing_enclosed(found))
         self._record(DataEnd(self._crc))

@@ -20,7 +20,12 @@ from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
 
-_WHOLE, _ROS1, _CHANNEL = 1, 2, 4
+_WHOLE, _ROS1, _CHANNEL, _LOOSE = (
+    1,
+    2,
+    4,
+    8,
+)  # the last: of a movable layer, the loose bytes of the whole message
 _NUMBERS = struct.Struct("<qI")
 _ID = struct.Struct("<H")
 _SECTION = struct.Struct("<BIIIII")  # flags, lengths of topic, head, tail, their code, the loose bytes
@@ -51,6 +56,7 @@ def encode_cloud(
     layout = cloud.layout
     known = points_of(points, cloud, sensor)
     flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1 + (cloud.channel > 0) * _CHANNEL
+    flags |= (bool(cloud.loose) and not cloud.whole) * _LOOSE
     parts = [
         _SECTION.pack(flags, len(topic), len(cloud.head), len(cloud.tail), len(code), len(loose)),
         code,
@@ -90,7 +96,7 @@ def decode_cloud(
     n_topic, n_head, n_tail, n_code, n_loose = lengths
     at = _SECTION.size + n_code + n_loose
     n_id = _ID.size if flags & _CHANNEL else 0
-    if flags > 7 or n_topic + n_head + n_tail > MAX_ENVELOPE or at > len(section):
+    if flags > 15 or n_topic + n_head + n_tail > MAX_ENVELOPE or at > len(section):
         raise ArchiveError("payload does not decode")
     code = section[_SECTION.size : _SECTION.size + n_code]
     envelope = decode_bytes(code, _NUMBERS.size + n_topic + n_head + n_tail + n_id, before)
@@ -118,7 +124,7 @@ def decode_cloud(
     sound = layout.n_points == n_points and len(points) * layout.point_step <= MAX_BYTES
     if not sound or (cloud.whole and len(points) != n_points) or layout.numbers[3] + 4 != n_head:
         raise ArchiveError("payload holds a message of other points")
-    if cloud.whole:
+    if cloud.whole or flags & _LOOSE:
         raw = section[at - n_loose : at]
         cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
     known = points_of(points, cloud, sensor)

@@ -29,7 +29,7 @@ from salpcc.stages.predict.static.coder import (
 )
 from salpcc.stages.predict.static.count_tables import StaticTables, shipped
 from salpcc.stages.residual_code import class_coder
-from salpcc.stages.residual_code.sensor import correction_coder, mask_coder
+from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 
 Bytes = NDArray[np.uint8]
 Starts = NDArray[np.int64]
@@ -125,6 +125,10 @@ class GopModels:
     sensor: SensorModel
     firing: NDArray[np.uint16] = field(default_factory=lambda: new_bits(mask_coder.FIRING_CONTEXTS))
     mask: NDArray[np.uint16] = field(default_factory=lambda: new_bits(mask_coder.RETURN_CONTEXTS))
+    layer_firing: NDArray[np.uint16] = field(
+        default_factory=lambda: new_bits(layer_mask_coder.FIRING_CONTEXTS)
+    )
+    layer_mask: NDArray[np.uint16] = field(default_factory=lambda: new_bits(layer_mask_coder.RETURN_CONTEXTS))
     millimetre: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
     ulp: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
     classes: NDArray[np.uint16] = field(default_factory=lambda: new_bits(class_coder.CONTEXTS))

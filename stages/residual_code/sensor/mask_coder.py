@@ -24,7 +24,7 @@ RETURN_CONTEXTS = 1 << 9
 
 
 @njit(cache=True)
-def _firing_context(firing: NDArray[np.int8], t: int) -> int:
+def firing_context(firing: NDArray[np.int8], t: int) -> int:
     """The six ticks before t: firings come every 2 ticks, sometimes 1."""
     context = 0
     for back in range(1, 7):
@@ -33,7 +33,7 @@ def _firing_context(firing: NDArray[np.int8], t: int) -> int:
 
 
 @njit(cache=True)
-def _ring_ticks(fired: NDArray[np.int64], shift: int, ticks: int, out: NDArray[np.int64]) -> None:
+def ticks_of_ring(fired: NDArray[np.int64], shift: int, ticks: int, out: NDArray[np.int64]) -> None:
     """Ticks at which a laser saw the firings ``fired`` (ascending), ascending themselves."""
     n = len(fired)
     first = 0  # the first firing that the shift does not push past the end of the turn
@@ -46,7 +46,7 @@ def _ring_ticks(fired: NDArray[np.int64], shift: int, ticks: int, out: NDArray[n
 
 
 @njit(cache=True)
-def _follow(place: int, tick: int, ring_ticks: NDArray[np.int64]) -> int:
+def follow(place: int, tick: int, ring_ticks: NDArray[np.int64]) -> int:
     """Move along a ring from firing ``place`` (-1: before the first) to the last at or before ``tick``."""
     while ring_ticks[place + 1] <= tick:  # a sentinel ends the ring
         place += 1
@@ -75,15 +75,15 @@ def _walk(  # type: ignore[no-untyped-def]
             ring_ticks[(k + 1) % 3],
         )
         here, up, up2 = seen[k % 3], seen[(k + 2) % 3], seen[(k + 1) % 3]
-        _ring_ticks(fired, shift[k], ticks, places)
+        ticks_of_ring(fired, shift[k], ticks, places)
         left = 7
         at = -1
         at2 = -1
         i = 0 if decoding else starts[k]
         for f in range(n):
             t = places[f]
-            at = _follow(at, t, above_places)
-            at2 = _follow(at2, t, above2_places)
+            at = follow(at, t, above_places)
+            at2 = follow(at2, t, above2_places)
             context = left << 6 | _three(up, at) << 3 | _three(up2, at2)
             if decoding:
                 bit = decode_bit(coder, data, model, context)
@@ -121,7 +121,7 @@ def encode_mask(
             firing[(tick[i] - shift[k]) % ticks] = 1
     coder = start_encoder()
     for t in range(ticks):
-        encode_bit(coder, out, firing_model, _firing_context(firing, t), firing[t])
+        encode_bit(coder, out, firing_model, firing_context(firing, t), firing[t])
     fired = np.flatnonzero(firing)
     _walk(False, coder, out, out, fired, shift, ticks, starts, tick, np.zeros(0, np.uint8), return_model)
     return finish_encoder(coder, out)
@@ -142,7 +142,7 @@ def decode_mask(
     coder = start_decoder(data)
     firing = np.zeros(ticks, np.int8)
     for t in range(ticks):
-        firing[t] = decode_bit(coder, data, firing_model, _firing_context(firing, t))
+        firing[t] = decode_bit(coder, data, firing_model, firing_context(firing, t))
     fired = np.flatnonzero(firing)
     done = _walk(
         True,

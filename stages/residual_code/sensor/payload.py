@@ -28,15 +28,17 @@ STREAMS = (
     "stray_intensity",
     "classes",
     "cloud",  # only with its flag
+    "lead",  # only of a movable layer
 )
 GROUPS = ("geometry", "intensity", "classes", "side")
-_GROUP_OF_STREAM = (0, 0, 0, 0, 0, 1, 1, 2, 3)
+_GROUP_OF_STREAM = (0, 0, 0, 0, 0, 1, 1, 2, 3, 0)
 
-MOTION, CLASSES, FLOAT_INTENSITY, CLOUD = 1, 2, 4, 8
+MOTION, CLASSES, FLOAT_INTENSITY, CLOUD, LAYER = 1, 2, 4, 8, 16
+_MORE = ((8, CLOUD), (9, LAYER))  # streams that only flags bring, with lengths of their own
 _FIXED = struct.Struct("<BBBBIIIIddd I 8s 8I")
 _MOTION = struct.Struct("<6d")
 _CRC = struct.Struct("<I")
-_LENGTH = struct.Struct("<I")  # of the cloud stream
+_LENGTH = struct.Struct("<I")  # of such a stream
 _CLOUD = struct.Struct("<qIB")
 _FACTS = struct.Struct("<QQd")
 MAX_POINTS = 1 << 24
@@ -87,6 +89,7 @@ def content_crc(sweep: Sweep) -> int:
         (sweep.stray_points, "<f4"),
         (sweep.classes, "u1"),
         (sweep.stray_classes, "u1"),
+        (sweep.lead, "<i8"),
     ):
         if array is not None:
             crc = zlib.crc32(np.ascontiguousarray(array, dtype=kind).tobytes(), crc)
@@ -101,7 +104,7 @@ def content_crc(sweep: Sweep) -> int:
 
 
 def pack(header: Header, streams: list[bytes]) -> Payload:
-    """Join header and streams (one per name in STREAMS; the last with its flag only)."""
+    """Join header and streams (one per name in STREAMS; empty where its flag is not set)."""
     parts = [
         _FIXED.pack(
             CODEC_VERSION, header.flags, EFFORTS.index(header.effort), 0,
@@ -112,18 +115,19 @@ def pack(header: Header, streams: list[bytes]) -> Payload:
     ]  # fmt: skip
     if header.motion is not None:
         parts.append(_MOTION.pack(*header.motion))
-    if header.flags & CLOUD:
-        parts.append(_LENGTH.pack(len(streams[8])))
+    parts += [_LENGTH.pack(len(streams[place])) for place, flag in _MORE if header.flags & flag]
     body = b"".join(parts + streams)
-    return Payload(body + _CRC.pack(zlib.crc32(body)), sizes(streams, header.motion is not None))
+    return Payload(body + _CRC.pack(zlib.crc32(body)), _sizes(header, streams))
 
 
-def sizes(streams: list[bytes], motion: bool) -> dict[str, int]:
+def _sizes(header: Header, streams: list[bytes]) -> dict[str, int]:
     """Bytes of a payload by group."""
     found = dict.fromkeys(GROUPS, 0)
-    found["geometry"] = _FIXED.size + motion * _MOTION.size
-    found["side"] = _CRC.size + (len(streams) == len(STREAMS)) * _LENGTH.size
-    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=False):
+    found["geometry"] = _FIXED.size + (header.motion is not None) * _MOTION.size
+    found["side"] = _CRC.size
+    for place, flag in _MORE:
+        found[GROUPS[_GROUP_OF_STREAM[place]]] += bool(header.flags & flag) * _LENGTH.size
+    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=True):
         found[GROUPS[group]] += len(stream)
     return found
 
@@ -150,15 +154,17 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
             raise ArchiveError("payload is truncated")
         motion = np.array(_MOTION.unpack_from(data, position))
         position += _MOTION.size
-    lengths = list(fields[13:])
-    if flags & CLOUD:
-        if len(data) < position + _LENGTH.size + _CRC.size:
-            raise ArchiveError("payload is truncated")
-        lengths += _LENGTH.unpack_from(data, position)
-        position += _LENGTH.size
+    lengths = [*fields[13:], 0, 0]
+    for place, flag in _MORE:
+        if flags & flag:
+            if len(data) < position + _LENGTH.size + _CRC.size:
+                raise ArchiveError("payload is truncated")
+            (lengths[place],) = _LENGTH.unpack_from(data, position)
+            position += _LENGTH.size
     sound = (
         effort < len(EFFORTS)
-        and flags < 16
+        and flags < 32
+        and not flags & MOTION * bool(flags & LAYER)
         and reserved == 0
         and returns + strays <= n_points <= MAX_POINTS
         and 1 <= step < 1 << 16

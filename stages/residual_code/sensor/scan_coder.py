@@ -1,4 +1,8 @@
-"""One scan of a GOP: every stream of its sweep, and all of them back."""
+"""One scan of a GOP: every stream of its sweep, and all of them back.
+
+The movable layer of a scan is coded like a scan of its own, but for what the static layer tells: where no return can be,
+and the motion. Its ranges and intensities are not predicted from the static layer: that was tried, and saved nothing.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,9 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
+from salpcc.stages.lattice.layers import alone, movable_mask
 from salpcc.stages.lattice.publish import (
     compensated_points,
     float32_boundary,
@@ -31,12 +37,13 @@ from salpcc.stages.residual_code.message.logged_scan import (
     encode_stray_classes,
     intensity_is_field,
 )
-from salpcc.stages.residual_code.sensor import correction_coder, mask_coder
+from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.gop_models import GopModels
 from salpcc.stages.residual_code.sensor.payload import (
     CLASSES,
     CLOUD,
     FLOAT_INTENSITY,
+    LAYER,
     MOTION,
     Header,
     Payload,
@@ -61,8 +68,14 @@ def encode_scan(
     sensor: SensorModel,
     predicted: Prediction,
     models: GopModels,
+    static: Sweep | None = None,
 ) -> Payload:
-    """Encode the next scan of a GOP from its sweep and the prediction of its levels."""
+    """Encode the next scan of a GOP from its sweep and the prediction of its levels.
+
+    Args:
+        models: of the GOP; the static and the movable layer have their own.
+        static: the static layer, where the sweep is the movable one.
+    """
     values = models.values(predicted.effort)
     starts = ring_starts(sweep.laser, sensor.n_lasers)
     tick, level = sweep.tick, sweep.count
@@ -70,12 +83,7 @@ def encode_scan(
     flags = 0
     reach = [-1.0, -1.0]
     streams = [
-        run_encoder(
-            lambda out: mask_coder.encode_mask(
-                starts, tick, sensor.shift, sensor.ticks_per_turn, models.firing, models.mask, out
-            ),
-            n,
-        ),
+        run_encoder(lambda out: _encode_mask(starts, tick, sensor, models, static, out), n),
         values.encode_levels(sweep, predicted),
     ]
     if sweep.max_error == 0:
@@ -90,14 +98,19 @@ def encode_scan(
             streams.append(_corrections(distance, step, reach[which], codes, bits))
     else:
         streams += [b"", b""]
-    moved = sweep.motion if n == 0 else None  # of points without a lattice, by their place in the list
-    strays = plan(sweep.stray_points[:, :3], sweep.max_error, sensor, moved, lanes=_lanes(sweep))
+    # What lies in file order, the layer has in the order of its own points.
+    listed = sweep
+    if static is not None and sweep.cloud is not None:
+        listed = alone(sweep, movable_mask(static, sweep, sensor))
+    # Of points without a lattice, by their place in the list, which a movable layer's have not.
+    moved = sweep.motion if n == 0 and static is None else None
+    strays = plan(sweep.stray_points[:, :3], sweep.max_error, sensor, moved, lanes=_lanes(listed))
     layout = strays.layout
     streams.append(encode_strays(sweep.stray_index, strays))
     levels = intensity_levels(sweep.intensity)
     if intensity_is_field(sweep, levels):
         flags |= FLOAT_INTENSITY
-        streams.append(encode_intensity(sweep, sensor))
+        streams.append(encode_intensity(listed, sensor))
     elif levels is None:
         flags |= FLOAT_INTENSITY
         streams.append(run_encoder(lambda out: encode_values(sweep.intensity, (1, 0), out), n))
@@ -120,11 +133,18 @@ def encode_scan(
         streams.append(b"")
     if sweep.cloud is not None:
         flags |= CLOUD
-        stream, sweep = encode_logged(sweep, sensor, models.envelope)
+        stream, listed = encode_logged(listed, sensor, models.envelope)
+        sweep = replace(sweep, cloud=listed.cloud)
         streams.append(stream)
+    else:
+        streams.append(b"")
+    if static is not None:
+        flags |= LAYER
+    streams.append(b"" if sweep.lead is None else _encode_lead(sweep.lead))
+    motion = sweep.motion if static is None else None
     header = Header(
-        flags | (MOTION if sweep.motion is not None else 0), predicted.effort, sweep.n_points, n, s, sweep.step,
-        sweep.max_error, reach[0], reach[1], content_crc(sweep), values.weights, sweep.motion,
+        flags | (MOTION if motion is not None else 0), predicted.effort, sweep.n_points, n, s, sweep.step,
+        sweep.max_error, reach[0], reach[1], content_crc(sweep), values.weights, motion,
     )  # fmt: skip
     return pack(header, streams)
 
@@ -133,6 +153,43 @@ def _lanes(sweep: Sweep) -> Array | None:
     """The lasers of the strays ``(S,)`` as their message tells them, if it does."""
     rings = None if sweep.cloud is None else sweep.cloud.rings()
     return None if rings is None or rings.max(initial=0) > 255 else rings[sweep.stray_index].astype(np.uint8)
+
+
+def _encode_mask(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    sensor: SensorModel,
+    models: GopModels,
+    static: Sweep | None,
+    out: Array,
+) -> int:
+    if static is None:
+        return int(
+            mask_coder.encode_mask(
+                starts, tick, sensor.shift, sensor.ticks_per_turn, models.firing, models.mask, out
+            )
+        )
+    return int(
+        layer_mask_coder.encode_layer_mask(
+            ring_starts(static.laser, sensor.n_lasers), static.tick, starts, tick, sensor.shift,
+            sensor.ticks_per_turn, models.layer_firing, models.layer_mask, out,
+        )
+    )  # fmt: skip
+
+
+def _encode_lead(lead: NDArray[np.int64]) -> bytes:
+    """Encode how many returns of the movable layer stand before each stray of the static one; nothing for zeros."""
+    if not lead.any():
+        return b""
+    return run_encoder(lambda out: int(encode_integers(lead[:, None], integer_model(1), out)), len(lead))
+
+
+def _decode_lead(n: int, data: Array) -> tuple[NDArray[np.int64], bool]:
+    """Inverse of :func:`_encode_lead`; ``n`` strays, and whether the data made sense."""
+    if len(data) == 0:
+        return np.zeros(n, np.int64), True
+    rows, sound = decode_integers(n, 1, integer_model(1), data)
+    return rows[:, 0].copy(), bool(sound)
 
 
 def _corrections(
@@ -167,13 +224,19 @@ def _read_plain_classes(n: int, data: Array) -> tuple[Array, int]:
     return values.astype(np.uint8) if whole else np.zeros(0, np.uint8), end
 
 
-def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
+def decode_scan(data: bytes, sensor: SensorModel, models: GopModels, static: Sweep | None = None) -> Sweep:
     """Decode the next scan of a GOP; inverse of :func:`encode_scan`, name and time apart.
+
+    Args:
+        static: the decoded static layer, where the payload is of the movable one.
 
     Raises:
         ArchiveError: the payload is damaged, or does not decode to what its checksum says.
     """
     header, streams = unpack(data)
+    if bool(header.flags & LAYER) != (static is not None):
+        raise ArchiveError("payload is of another layer of the scan")
+    motion = header.motion if static is None else static.motion
     values = models.known(header.effort, header.weights)
     if header.returns > sensor.n_lasers * sensor.ticks_per_turn:
         raise ArchiveError("payload has more returns than the sensor has firings")
@@ -195,9 +258,14 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
     n, s = header.returns, header.strays
     laser, tick = checked(
         mask_coder.decode_mask(sensor.shift, sensor.ticks_per_turn, n, models.firing, models.mask, mask)
-    )
+        if static is None
+        else layer_mask_coder.decode_layer_mask(
+            ring_starts(static.laser, sensor.n_lasers), static.tick, sensor.shift, sensor.ticks_per_turn, n,
+            models.layer_firing, models.layer_mask, mask,
+        )
+    )  # fmt: skip
     starts = ring_starts(laser, sensor.n_lasers)
-    before = models.warped(header.effort, header.motion)
+    before = models.warped(header.effort, motion)
     count = checked(values.decode_levels(starts, tick, header.step, before, levels))
     mm_codes = np.full(n, NO_CORRECTION, np.uint8)
     ulp_codes = np.full(n, NO_CORRECTION, np.uint8)
@@ -210,7 +278,7 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
                 )
             )
         if header.ulp_reach >= 0:
-            points = compensated_points(model, mm_codes, header.motion)
+            points = compensated_points(model, mm_codes, motion)
             ulp_codes = checked(
                 correction_coder.decode_corrections(
                     *float32_boundary(points), header.ulp_reach, models.ulp, ulp
@@ -227,15 +295,21 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels) -> Sweep:
             checked(values.decode_intensity(starts, tick, count, header.step, before, intensity))
         ]
     fourth = np.zeros(s, np.float32) if as_field else checked(decode_values(s, stray_intensity))
-    if s and (places[0] < 0 or places[-1] >= n + s or (np.diff(places) <= 0).any()):
+    of_all = n + s + (0 if static is None else len(static))
+    if s and (places[0] < 0 or places[-1] >= of_all or (np.diff(places) <= 0).any()):
         raise ArchiveError("payload does not decode")
+    lead = None
+    if static is not None:
+        lead = checked(_decode_lead(len(static.stray_index), np.frombuffer(bytearray(streams[9]), np.uint8)))
     sweep = Sweep(
-        "", 0, "", header.n_points, header.motion, header.step, header.max_error,
+        "", 0, "", header.n_points, motion, header.step, header.max_error,
         laser, tick, count, intensities, mm_codes, ulp_codes, None,
-        places, np.column_stack([points, fourth]), None,
+        places, np.column_stack([points, fourth]), None, lead=lead,
     )  # fmt: skip
     if header.flags & CLOUD:
-        sweep = decode_logged(sweep, sensor, streams[8], streams[5] if as_field else None, models.envelope)
+        listed = sweep if static is None else alone(sweep, movable_mask(static, sweep, sensor))
+        listed = decode_logged(listed, sensor, streams[8], streams[5] if as_field else None, models.envelope)
+        sweep = replace(listed, stray_index=places, lead=lead)
     if header.flags & CLASSES:
         if header.flags & CLOUD:
             stray_labels, used = decode_stray_classes(sweep, streams[7])

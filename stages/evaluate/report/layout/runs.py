@@ -39,7 +39,10 @@ class Run:
     @property
     def label(self) -> str:
         """Name the system and what was asked of it."""
-        kept = ", movables kept" if self.config.get("keep_movable") else ""
+        config = self.config
+        # Runs before there were layers dropped what they did not keep, and said nothing of it.
+        layered = not self.of_paper and config.get("drop_movable", True) is False
+        kept = ", movables kept" if config.get("keep_movable") else ", both layers" if layered else ""
         return f"{self.system}, {accuracy_label(self.accuracy)}{kept}"
 
 

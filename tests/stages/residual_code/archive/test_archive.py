@@ -143,7 +143,7 @@ def test_damage_in_one_gop_leaves_the_others(path: Path, tmp_path: Path) -> None
 
 
 def test_newer_major_version_is_refused(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("salpcc.stages.residual_code.archive.writer.ARCHIVE_VERSION", "2.0")
+    monkeypatch.setattr("salpcc.stages.residual_code.archive.format.ARCHIVE_VERSION", "3.0")
     write_archive(tmp_path / "new.mcap", FACTS, GOPS)
     with pytest.raises(ArchiveError, match="newer"):
         ArchiveReader(tmp_path / "new.mcap")

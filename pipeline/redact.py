@@ -1,0 +1,223 @@
+"""Take what may move out of an archive, or some of it; the static layer is copied, never decoded for it, and its bytes prove that.
+
+Where only some goes, the movable chunks that held it are coded anew; all other chunks stay as they are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import ArchiveError, UsageError
+from salpcc.schemas.files import atomic
+from salpcc.schemas.labels import CLASSES, MOVABLE
+from salpcc.schemas.sweep import Sweep
+from salpcc.schemas.version import TOOL
+from salpcc.stages.lattice.layers import alone, movable_mask, placed
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
+from salpcc.stages.predict.values import predict_sweeps
+from salpcc.stages.residual_code.archive.format import ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive.passing import PassingLog
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.writer import write_archive
+from salpcc.stages.residual_code.gop import decode_gop
+from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.scan_coder import decode_scan, encode_scan
+from salpcc.stages.segment.task import keep
+
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which movable points go: all by default; of frames ``[first, last)`` only, of some classes only.
+
+    A scan's frame number is its name where that is a number, else its place.
+    """
+
+    frames: tuple[int, int] | None = None
+    classes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        known = {c.name for c in CLASSES if c.group == MOVABLE}
+        if unknown := sorted(set(self.classes) - known):
+            raise UsageError(f"class {unknown[0]}: choose from {', '.join(sorted(known))}")
+
+    @property
+    def whole(self) -> bool:
+        """Tell whether everything goes."""
+        return self.frames is None and not self.classes
+
+    def concerns(self, name: str, place: int) -> bool:
+        """Tell whether points of a scan may go."""
+        number = int(name) if name.isdecimal() else place
+        return self.frames is None or self.frames[0] <= number < self.frames[1]
+
+    def gone(self, classes: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
+        """Mark which movable points ``(M,)`` of a scan that it concerns go, by their classes."""
+        assert classes is not None
+        return np.isin(classes, [i for i, c in enumerate(CLASSES) if c.name in self.classes])
+
+
+def redact(path: Path, out: Path, selection: Selection | None = None) -> dict[str, Any]:
+    """Write to ``out`` the archive ``path`` without what may move, and beside it the manifest ``OUT.json``; return that.
+
+    The manifest has the SHA-256 of each chunk of coded scans as it was in ``path``.
+
+    Raises:
+        UsageError: ``out`` exists; the archive has no movable layer, or no classes to choose by.
+        ArchiveError: the archive is damaged.
+    """
+    selection = selection or Selection()
+    if out.exists():
+        raise UsageError(f"{out}: exists; redact writes a new file")
+    reader = ArchiveReader(path)
+    if reader.movable != "layered":
+        what = "was dropped" if reader.movable == "dropped" else "is in one layer with the rest"
+        raise UsageError(f"{path}: has no movable layer to take out; what may move {what}")
+    if selection.classes and not any(entry.classes for gop in reader.movable_gops for entry in gop):
+        raise UsageError(f"{path}: no classes are stored in it; it can be redacted as a whole or by --frames")
+    reader.check()
+    # Without its inputs no run takes it for the archive that it would make.
+    facts = replace(reader.facts, inputs="")
+    log = PassingLog(reader.log.values(), reader.passing(), reader.enclosed()) if reader.log else None
+    write_archive(out, facts, _gops(reader, selection), log)
+    manifest = {"version": VERSION, "tool": TOOL, "redacted": _told(selection)} | chunk_hashes(reader)
+    with atomic(manifest_path(out)) as stream:
+        stream.write(json.dumps(manifest, indent=1).encode() + b"\n")
+    return manifest
+
+
+def manifest_path(out: Path) -> Path:
+    """Where the manifest of a redacted archive lies."""
+    return out.with_name(f"{out.stem}.json")
+
+
+def chunk_hashes(reader: ArchiveReader) -> dict[str, Any]:
+    """Return the SHA-256 of each chunk of coded scans, by layer, with its GOP."""
+    found: dict[str, Any] = {"archive": reader.path.name, "sequence": reader.facts.sequence}
+    found |= {"static": [], "movable": []}
+    for layer, gop, chunk in reader.layer_chunks():
+        digest = hashlib.sha256(reader.chunk_bytes(chunk)).hexdigest()
+        found[layer].append({"gop": gop, "sha256": digest})
+    return found
+
+
+def check_redacted(reader: ArchiveReader, manifest: Path) -> list[str]:
+    """Say what is wrong with an archive as the redaction of that which a manifest tells of; nothing, if nothing is.
+
+    Its static chunks must be the very bytes that they were, and of movable ones none but those, coded anew or as they
+    were, that the redaction was to leave.
+
+    Raises:
+        UsageError: the manifest cannot be read.
+    """
+    try:
+        old = json.loads(manifest.read_bytes())
+        static = [(row["gop"], row["sha256"]) for row in old["static"]]
+        all_of_it = old["redacted"] == _told(Selection())
+        sequence = old["sequence"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"{manifest}: no manifest of a redaction ({error})") from error
+    new = chunk_hashes(reader)
+    problems = []
+    if new["sequence"] != sequence:
+        problems.append(f"is of sequence {new['sequence']}, the manifest of {sequence}")
+    here = [(row["gop"], row["sha256"]) for row in new["static"]]
+    if here != static:
+        differ = sorted({gop for gop, _ in set(here) ^ set(static)})
+        problems.append(f"static chunks differ: those of GOP {', '.join(map(str, differ))}")
+    if all_of_it and new["movable"]:
+        problems.append(f"{len(new['movable'])} movable chunks are still there")
+    return problems
+
+
+def _told(selection: Selection) -> dict[str, Any]:
+    return {
+        "frames": list(selection.frames) if selection.frames else None,
+        "classes": list(selection.classes),
+    }
+
+
+def _gops(reader: ArchiveReader, selection: Selection) -> Iterator[list[ScanPayload]]:
+    place = 0
+    for gop in range(len(reader.gops)):
+        payloads = reader.payloads(gop)
+        if selection.whole:
+            yield payloads
+            continue
+        layers = reader.movable_payloads(gop)
+        concerned = [selection.concerns(p.entry.name, place + at) for at, p in enumerate(payloads)]
+        place += len(payloads)
+        if any(concerned):
+            layers = _coded_anew(reader, payloads, layers, concerned, selection)
+        yield [replace(p, movable=layer) for p, layer in zip(payloads, layers, strict=False)] + payloads[
+            len(layers) :
+        ]
+
+
+def _coded_anew(
+    reader: ArchiveReader,
+    payloads: list[ScanPayload],
+    layers: list[ScanPayload],
+    concerned: list[bool],
+    selection: Selection,
+) -> list[ScanPayload]:
+    """Code the movable layers of a GOP again without what goes of the scans that are concerned."""
+    sensor = reader.facts.sensor
+    models = GopModels(sensor)
+    pairs: list[tuple[Sweep, Sweep]] = []
+    statics = decode_gop((payload.data for payload in payloads), sensor)
+    for layer, static, some in zip(layers, statics, concerned, strict=False):
+        movable = decode_scan(layer.data, sensor, models, static)
+        pairs.append((static, _without(static, movable, sensor, selection) if some else movable))
+    effort = str(reader.facts.config.get("effort", "default"))
+    models, coded = GopModels(sensor), []
+    predictions = predict_sweeps((movable for _, movable in pairs), sensor, effort)
+    for layer, (static, movable), predicted in zip(layers, pairs, predictions, strict=True):
+        payload = encode_scan(movable, sensor, predicted, models, static)
+        strays = len(movable.stray_index)
+        entry = ScanEntry(layer.entry.name, movable.n_points, len(movable), 0, strays, **payload.sizes)
+        coded.append(replace(layer, entry=entry, data=payload.data))
+    return coded
+
+
+def _without(static: Sweep, movable: Sweep, sensor: SensorModel, selection: Selection) -> Sweep:
+    """Return a movable layer without what goes."""
+    mask = movable_mask(static, movable, sensor)
+    listed = alone(movable, mask)
+    gone = np.ones(len(listed), np.bool_)
+    if selection.classes:
+        gone = selection.gone(sweep_to_scan(listed, sensor).classes)
+    on, off = source_places(listed, sensor)
+    left = mask.copy()
+    left[np.flatnonzero(mask)[gone]] = False
+    rest = keep(listed, sensor, ~gone[on], ~gone[off])
+    if rest.cloud is not None:
+        rest = replace(rest, cloud=replace(rest.cloud, loose=b"") if len(rest) else None)
+    return placed(rest, static, left[left | ~mask])
+
+
+def describe(manifest: dict[str, Any], reader: ArchiveReader) -> str:
+    """Say in a line what became of the chunks.
+
+    Raises:
+        ArchiveError: the static chunks are not what they were; that is a fault of this tool.
+    """
+    new = chunk_hashes(reader)
+    if new["static"] != manifest["static"]:
+        raise ArchiveError(f"{reader.path}: static chunks are not those of {manifest['archive']}")
+    kept = sum(row in manifest["movable"] for row in new["movable"])
+    anew = len(new["movable"]) - kept
+    return (
+        f"{len(new['static'])} static chunks as they were; of {len(manifest['movable'])} movable chunks "
+        f"{kept} as they were, {anew} coded anew, {len(manifest['movable']) - len(new['movable'])} gone"
+    )
