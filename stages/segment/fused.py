@@ -89,7 +89,8 @@ class FusedNetwork(nn.Module):
 
 
 def _fastest(device: str) -> torch.dtype:
-    can = torch.cpu.get_capabilities() if device == "cpu" else {}
+    # An older torch does not tell what the processor can.
+    can = getattr(torch.cpu, "get_capabilities", dict)() if device == "cpu" else {}
     return torch.bfloat16 if can.get("avx512_bf16") or can.get("amx_bf16") else torch.float32
 
 

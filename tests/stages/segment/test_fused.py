@@ -54,7 +54,10 @@ def test_fused_is_the_same_network(config: NetworkConfig, make_scan) -> None:
 
 
 def test_a_processor_without_bfloat16_computes_in_float32(monkeypatch) -> None:
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": False, "amx_bf16": False})
+    monkeypatch.delattr(torch.cpu, "get_capabilities", raising=False)  # as in older versions
     assert FusedNetwork(_trained(PLAIN)).dtype == torch.float32
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+    able = {"avx512_bf16": False, "amx_bf16": False}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: able, raising=False)
+    assert FusedNetwork(_trained(PLAIN)).dtype == torch.float32
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True}, raising=False)
     assert FusedNetwork(_trained(PLAIN)).dtype == torch.bfloat16
