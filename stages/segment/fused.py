@@ -8,7 +8,7 @@ unfolding moves nothing. A CPU that multiplies bfloat16 does so on the image sid
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -90,7 +90,7 @@ class FusedNetwork(nn.Module):
 
 def _fastest(device: str) -> torch.dtype:
     # An older torch does not tell what the processor can.
-    can = getattr(torch.cpu, "get_capabilities", dict)() if device == "cpu" else {}
+    can: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)() if device == "cpu" else {}
     return torch.bfloat16 if can.get("avx512_bf16") or can.get("amx_bf16") else torch.float32
 
 
