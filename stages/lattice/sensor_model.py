@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SensorError
 from salpcc.stages.lattice.drivers import Driver
-from salpcc.stages.lattice.trig import arctan2
 
 SENSORS = Path(__file__).parent / "sensors"
 _VERSION = 2
@@ -143,9 +142,7 @@ def with_driver(model: SensorModel, driver: Driver) -> SensorModel:
 
 def _numbers_of(driver: Driver) -> dict[str, Any]:
     """The five numbers per laser that a driver's formula comes to, but for its roundings."""
-    zero = np.zeros(len(driver.lasers))
-    theta = np.array([arctan2(float(sine), float(cosine)) for cosine, sine in driver.lasers[:, :2]])
-    return {"theta": theta, "z0": zero, "h": zero, "phi0": driver.phases, "d0": zero}
+    return dict(zip(_PER_LASER, driver.numbers, strict=True))
 
 
 def _optional(value: object) -> float | None:

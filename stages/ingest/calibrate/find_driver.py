@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.aim import aim
-from salpcc.stages.lattice.drivers import FORMULAS, SINES, VELODYNE, Driver, hesai, velodyne
+from salpcc.stages.lattice.drivers import FORMULAS, SINES, TURNING, VELODYNE, Driver, hesai, ouster, velodyne
 from salpcc.stages.lattice.drivers.sines import cosine32, sine32
 from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.sensor_model import SensorModel, with_driver
@@ -27,6 +27,14 @@ _WIDEST = 2000  # indices that an offset may be
 _WINDOW = 2.5e-7  # radians that the phase of azimuths may be off by
 _TRIED = 200  # offsets in that window
 _ULPS = 4
+_FEWER = 60  # points of a laser
+_TURNED = 18  # hundredths of a degree
+_NEAREST_ORIGIN, _FARTHEST_ORIGIN = 5_000, 40_000  # micrometres from the axis that Ouster's beams start
+_ORIGINS, _HEIGHTS, _NEAR_ORIGIN = (
+    (12_163.0, 13_762.0, 15_806.0, 27_670.0),
+    (36_180.0, 38_195.0),
+    30.0,
+)  # of their data sheets
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -37,7 +45,8 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
     """Return the model with the driver that made points ``(N, 3)`` of lasers ``(N,)`` (-1: not known); None where none is found."""
     levers = np.abs(np.stack([model.h, model.z0, model.d0]))
     if levers.max() > _LEVER:
-        return None
+        found = _ouster(model)
+        return _polished(found, points, laser)
     reach = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1))
     order = np.random.default_rng(0).permutation(np.flatnonzero((laser >= 0) & (reach > _NEAR)))
     own = [order[laser[order] == k] for k in range(model.n_lasers)]
@@ -47,7 +56,7 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
         d = _ranges(reach, model.count, single)
         if np.median([_elevation(points[some, 2], d[some])[1] for some in few]) < _HOLDS:
             continue
-        for formula, sine in ((formula, sine) for formula in FORMULAS for sine in SINES):
+        for formula, sine in ((formula, sine) for formula in TURNING for sine in SINES):
             share = float(
                 np.median([_laser(points[some], d[some], formula, SINES.index(sine))[1] for some in few])
             )
@@ -61,6 +70,55 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
     d = _ranges(reach, model.count, kind.single)
     rows = [_laser(points[some], d[some], kind.formula, SINES.index(kind.sine))[0] for some in own]
     return with_driver(model, replace(kind, lasers=np.array(rows, np.float32)))
+
+
+def _polished(model: SensorModel, points: F32, laser: I64) -> SensorModel:
+    """Turn each laser to where most of its points come back bit for bit: by hundredths of a degree, then as any other laser, or nearly."""
+    assert model.driver is not None
+    order = np.random.default_rng(0).permutation(np.flatnonzero(laser >= 0))
+    own = np.concatenate([order[laser[order] == k][:_FEWER] for k in range(model.n_lasers)])
+    points, laser = points[own], laser[own]
+    seen = np.maximum(np.bincount(laser, minlength=model.n_lasers), 1)
+    best, rows = np.full(model.n_lasers, -1.0), model.driver.lasers.copy()
+    hundredths = 10.0 * np.array(sorted(range(-_TURNED, _TURNED + 1), key=abs))  # as millidegrees
+    for again in (False, True):
+        others = np.unique(rows[:, 1])[:, None] + hundredths[:3]
+        for aside in np.unique(others) if again else hundredths:
+            tried = model.driver.lasers.copy()
+            tried[:, 1] = aside if again else tried[:, 1] + aside
+            trial = with_driver(model, replace(model.driver, lasers=tried))
+            k, tick, count, _ = aim(trial, points.astype(np.float64), laser)
+            back = driven(
+                trial, np.maximum(k, 0).astype(np.uint8), tick.astype(np.int32), count.astype(np.float64)
+            )
+            same = (back.astype(np.float32).view(np.int32) == points.view(np.int32)).all(axis=1)
+            share = np.bincount(laser, same, model.n_lasers) / seen
+            rows[share > best] = tried[share > best]
+            best = np.maximum(best, share)
+    return with_driver(model, replace(model.driver, lasers=rows))
+
+
+def _ouster(model: SensorModel) -> SensorModel:
+    """The model with Ouster's formula, whose numbers are round; for the caller to try."""
+    tangent = np.tan(model.theta)
+    beside = np.arange(_NEAREST_ORIGIN, _FARTHEST_ORIGIN)  # micrometres
+    along = np.sqrt(np.maximum((beside[:, None] * ouster.MICROMETRES) ** 2 - model.h**2, 0.0))
+    height = model.z0 + along * tangent
+    middle = np.median(height, axis=1)
+    best = int(np.median(np.abs(height - middle[:, None]), axis=1).argmin())
+    n, t = float(beside[best]), float(np.rint(middle[best] / ouster.MICROMETRES))
+    known = [origin for origin in _ORIGINS if abs(origin - n) < _NEAR_ORIGIN]
+    n = known[0] if known else n
+    t = next((height for height in _HEIGHTS if abs(height - t) < _NEAR_ORIGIN), t)
+    step = 2 * np.pi / model.ticks_per_turn
+    roughly = -np.arcsin(np.clip(model.h / (n * ouster.MICROMETRES), -1.0, 1.0))
+    azimuth = model.phi0 - np.pi
+    azimuth += step * np.rint((roughly - azimuth) / step)
+    tens = [np.rint(np.degrees(angle) * 100.0) * 10.0 for angle in (model.theta, -azimuth)]
+    rows = np.stack([*tens, np.full(model.n_lasers, n), np.full(model.n_lasers, t)], axis=1)
+    return with_driver(
+        model, Driver("ouster", "rounded", False, rows.astype(np.float32), model.ticks_per_turn)
+    )
 
 
 def _ranges(reach: F64, unit: float, single: bool) -> F32:

@@ -28,6 +28,7 @@ _REASSIGNED = 0.01  # metres from another laser's cone
 _WORTH_IT = 0.5  # of the misfit of the cones, that undoing a motion leaves
 _EXPLAINED = 0.02  # metres
 _LEAST_EXPLAINED, _LEAST_LASERS = 0.5, 0.7  # of the returns, and of the lasers, of any scan
+_COLUMNS = {512, 1024, 2048, 4096}  # of organised clouds
 _JITTER = 2  # ticks within a firing
 _HOLDS, _CLOSE = 0.8, 0.002  # of all returns, whosever; metres
 
@@ -88,6 +89,9 @@ def fit_sensor(scans: Sequence[Listed], name: str, rounded: bool) -> Fit:
     found_count, count_line = find_count(
         [_along(q, float(c.slope[0]), float(c.height[0])) for q, c in zip(own, cones, strict=True)]
     )
+    widths = {scan.width for scan in kept}
+    if not ticks_line and len(widths) == 1 and widths <= _COLUMNS:
+        found_ticks = widths.pop()  # too few returns to tell, but the cloud is a turn of so many columns
     ticks, count = ticks or found_ticks, count or found_count
     fitted = [fit_laser(q[:: len(q) // _MOST_POINTS + 1], ticks, count, rounded) for q in own]
     # A nanoradian at 100 m and a tenth of a micrometre say no more; short numbers keep archives short.
@@ -222,7 +226,7 @@ def _listed_shifts(model: SensorModel, scans: list[tuple[I64, I64]]) -> I64:
         joined = group == group[b]
         shift[joined] += shift[a] + values[counts.argmax()] - shift[b]
         group[joined] = group[a]
-    return shift
+    return np.asarray((shift + ticks // 2) % ticks - ticks // 2)
 
 
 def _jumps(scans: list[tuple[I64, I64]], shift: I64, ticks: int) -> int:

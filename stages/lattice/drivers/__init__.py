@@ -1,6 +1,6 @@
 """Drivers: the arithmetic, in float32, by which a sensor's driver made points of counts and azimuth indices.
 
-One file a formula. Both have cosine and sine of the laser's elevation e as float32, and turn the same way: with the range
+One file a formula. Those of Velodyne and Hesai have cosine and sine of the laser's elevation e as float32, and turn the same way: with the range
 ``d`` and a *bearing* (u, v) of the laser at the azimuth index, every product rounded to float32::
 
     x = (d cos e) u          y = (d cos e) v          z = d sin e
@@ -20,12 +20,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.drivers import hesai, velodyne
+from salpcc.stages.lattice.drivers import hesai, ouster, velodyne
+from salpcc.stages.lattice.trig import arctan2
 
-FORMULAS: dict[str, ModuleType] = {"velodyne": velodyne, "hesai": hesai}
+FORMULAS: dict[str, ModuleType] = {"velodyne": velodyne, "hesai": hesai, "ouster": ouster}
+TURNING = ("velodyne", "hesai")  # those with bearings
 SINES = ("rounded", "polynomial")  # the kinds of :mod:`.sines`
-NO_FORMULA, VELODYNE = -1, 0
+NO_FORMULA, VELODYNE, OUSTER = -1, 0, 2
+STEPS = 36_000  # azimuth indices in a turn, unless a driver says otherwise
+_MOST_STEPS = 1 << 16
 _ROWS = 4  # numbers of a laser
+_LARGEST = 1 << 24
 
 F32 = NDArray[np.float32]
 Tables = tuple[int, int, bool, F32, F32]
@@ -39,35 +44,36 @@ class Driver:
         formula: one of FORMULAS.
         sine: one of SINES.
         single: counts become metres in float32.
-        lasers: ``(L, 4)`` float32: cosine and sine of the elevation, and the two numbers of the formula's ``row``.
+        lasers: ``(L, 4)`` float32: cosine and sine of the elevation, and the two numbers of the formula's ``row``; or
+            whole numbers, see :mod:`.ouster`.
+        steps: azimuth indices in a turn.
     """
 
     formula: str
     sine: str
     single: bool
     lasers: F32
+    steps: int = STEPS
 
     @property
-    def steps(self) -> int:
-        """Azimuth indices in a turn."""
-        return int(FORMULAS[self.formula].STEPS)
-
-    @property
-    def phases(self) -> NDArray[np.float64]:
-        """Azimuth (counter-clockwise from x, radians) of index 0, per laser ``(L,)``."""
-        return np.array([FORMULAS[self.formula].phase(*row) for row in self.lasers[:, 2:]])
+    def numbers(self) -> tuple[NDArray[np.float64], ...]:
+        """theta, z0, h, phi0, d0 ``(L,)`` of a sensor model that the formula comes to, but for its roundings."""
+        if self.formula == "ouster":
+            return ouster.numbers(self.lasers)
+        zero = np.zeros(len(self.lasers))
+        theta = np.array([arctan2(float(sine), float(cosine)) for cosine, sine in self.lasers[:, :2]])
+        phi0 = np.array([FORMULAS[self.formula].phase(*row) for row in self.lasers[:, 2:]])
+        return theta, zero, zero, phi0, zero
 
     @cached_property
     def tables(self) -> Tables:
         """What :func:`driver_point` wants."""
         formula, sine = list(FORMULAS).index(self.formula), SINES.index(self.sine)
-        return (
-            formula,
-            sine,
-            self.single,
-            FORMULAS[self.formula].table(sine),
-            np.ascontiguousarray(self.lasers),
-        )
+        if self.formula in TURNING:
+            values = FORMULAS[self.formula].table(sine)
+        else:
+            values = np.zeros((self.steps, 1), np.float32)
+        return formula, sine, self.single, values, np.ascontiguousarray(self.lasers)
 
     def to_document(self) -> dict[str, Any]:
         """As JSON: float32 values by the shortest decimals that read back as they."""
@@ -75,6 +81,7 @@ class Driver:
             "formula": self.formula,
             "sine": self.sine,
             "single": self.single,
+            "steps": self.steps,
             "lasers": [[float(str(value)) for value in laser] for laser in self.lasers],
         }
 
@@ -86,10 +93,14 @@ class Driver:
             ValueError, KeyError, TypeError: it is none.
         """
         lasers = np.array([[float(v) for v in laser] for laser in document["lasers"]])
-        sound = lasers.ndim == 2 and lasers.shape[1] == _ROWS and bool((np.abs(lasers) < 10.0).all())
+        sound = lasers.ndim == 2 and lasers.shape[1] == _ROWS and bool((np.abs(lasers) < _LARGEST).all())
+        steps = int(document["steps"])
+        sound = sound and (1 <= steps <= _MOST_STEPS if document["formula"] == "ouster" else steps == STEPS)
         if document["formula"] not in FORMULAS or document["sine"] not in SINES or not sound:
             raise ValueError("a driver that is not known")
-        return cls(document["formula"], document["sine"], bool(document["single"]), lasers.astype(np.float32))
+        return cls(
+            document["formula"], document["sine"], bool(document["single"]), lasers.astype(np.float32), steps
+        )
 
 
 NO_DRIVER: Tables = (NO_FORMULA, 0, False, np.zeros((1, 2), np.float32), np.zeros((1, _ROWS), np.float32))
@@ -110,6 +121,8 @@ def driver_point(
     """Return x, y, z of a laser at a tick (0 <= tick < STEPS), bit for bit as the driver has it where ``count`` is whole."""
     formula, sine, single, values, lasers = driver
     index = len(values) - tick if tick > 0 else 0
+    if formula == OUSTER:
+        return ouster.point(lasers[laser], tick, len(values), count * unit)
     d = range32(single, count, unit)
     if formula == VELODYNE:
         u, v = velodyne.bearing(values, index, lasers[laser, 2], lasers[laser, 3])
