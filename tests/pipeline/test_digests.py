@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 
 from salpcc.pipeline import digests
+from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.run import RunResult
 from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
 
+OVERWRITE = GraphOptions(overwrite=True)
 Run = Callable[..., RunResult]
 
 
@@ -37,7 +39,7 @@ def test_a_second_run_reads_no_file(root: Path, tmp_path: Path, run: Run, reads:
     names = [f"{number:06d}" for number in range(5)]
     for given in (False, True):
         options = {"effort": "fast", **({"labels": "given", "keep_movable": False} if given else {})}
-        run(root, out, "00", **options)
+        run(root, out, "00", graph=OVERWRITE, **options)  # the second time other options
         assert sorted(reads) == [f"{name}.label" if given else f"{name}.bin" for name in names]
         reads.clear()
         run(root, out, "00", **options)
@@ -56,7 +58,7 @@ def test_a_byte_that_changes_is_found_though_its_times_are_set_back(
     scan.write_bytes(data)
     os.utime(scan, ns=(times.st_atime_ns, times.st_mtime_ns))
     reads.clear()
-    run(root, out, "00", "01", effort="fast")
+    run(root, out, "00", "01", effort="fast", graph=OVERWRITE)
     assert set(reads) == {"000002.bin"}
     assert verify(out / "archives" / "00.mcap", root).bit_exact_scans == 5
 
