@@ -25,7 +25,7 @@ test: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p salpcc
-	$(BIN)/pytest -q -n 2 --dist loadfile
+	$(BIN)/pytest -q -n 2 --dist loadfile --max-worker-restart 0
 
 bench: $(VENV)/.tools
 	$(BIN)/python -m salpcc.stages.evaluate.bench $(if $(ROOT),--root $(ROOT))
