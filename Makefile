@@ -25,7 +25,9 @@ test: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p salpcc
-	$(BIN)/pytest -q -n 2 --dist loadfile --max-worker-restart 0
+	$(BIN)/pytest -q tests/test_*.py
+	$(BIN)/pytest -q tests/stages tests/schemas tests/scripts
+	$(BIN)/pytest -q tests/pipeline tests/examples
 
 bench: $(VENV)/.tools
 	$(BIN)/python -m salpcc.stages.evaluate.bench $(if $(ROOT),--root $(ROOT))
