@@ -27,7 +27,17 @@ def test_a_run_drops_the_movable_points_of_06(real_data, tmp_path) -> None:
         "0:3",
         "--json",
     ]
-    where = ["--root", real_data / "semantickitti", "--out", tmp_path, "--workers", "0", "--effort", "fast"]
+    where = [
+        "--root",
+        real_data / "semantickitti",
+        "--out",
+        tmp_path,
+        "--workers",
+        "0",
+        "--effort",
+        "fast",
+        "--drop-movable",
+    ]
     done = subprocess.run([*map(str, [*command, *where])], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)["sequences"]["06"]
