@@ -89,9 +89,8 @@ def resolve(config: RunConfig) -> RunConfig:
     for field in ("sensor", "weights"):  # a file lies where this process says, whoever reads it
         if (file := Path(getattr(config, field))).suffix in (".json", ".safetensors"):
             known[field] = str(file.absolute())
-    digest = weights_digest(
-        weights_path(config.weights)
-    )  # asked for in any case: a wrong name is told, used or not
+    # Asked for in any case: a wrong name is told, used or not.
+    digest = weights_digest(weights_path(config.weights))
     if config.uses_network:
         known["weights_digest"] = digest
     return config.model_copy(update=known)

@@ -21,9 +21,13 @@ _OPTIONS = {
 def held_scans(archive: Path) -> list[str]:
     """Names of the scans of an archive; none where there is none, or a damaged one."""
     try:
-        return [entry.name for gop in ArchiveReader(archive).gops for entry in gop]
+        return _names(ArchiveReader(archive))
     except ArchiveError:
         return []
+
+
+def _names(reader: ArchiveReader) -> list[str]:
+    return [entry.name for gop in reader.gops for entry in gop]
 
 
 def check_replaceable(
@@ -41,9 +45,10 @@ def check_replaceable(
         UsageError: it is another archive; the message says how it differs.
     """
     try:
-        facts = ArchiveReader(archive).facts
+        reader = ArchiveReader(archive)
     except ArchiveError:
         return
+    facts = reader.facts
     if facts.inputs == inputs:
         return
     asked: dict[str, object] = config.coding
@@ -56,7 +61,7 @@ def check_replaceable(
     )
     if "--keep-movable" in options and "--drop-movable" in options:
         options.remove("--drop-movable")  # it follows
-    here, wanted = set(held_scans(archive)), {ref.name for gop in plan.gops for ref in gop.scans}
+    here, wanted = set(_names(reader)), {ref.name for gop in plan.gops for ref in gop.scans}
     if options:
         how = f"with another {', '.join(options)}"
     elif facts.source != config.source:
