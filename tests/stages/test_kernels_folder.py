@@ -23,7 +23,7 @@ def test_another_source_is_another_folder(tmp_path: Path) -> None:
     copy = tmp_path / "salpcc"
     for room in ("schemas", "stages"):
         shutil.copytree(ROOT / room, copy / room, ignore=shutil.ignore_patterns("__pycache__", "weights"))
-    shutil.copy(ROOT / "src" / "salpcc" / "__init__.py", copy)  # without it an installed package would come first
+    shutil.copy(ROOT / "src" / "salpcc" / "__init__.py", copy)  # else an installed package would come first
     first = folder(tmp_path, XDG_CACHE_HOME=str(tmp_path))
     assert first.startswith(str(tmp_path / "salpcc-pipeline" / "kernels-"))
     assert folder(tmp_path, XDG_CACHE_HOME=str(tmp_path)) == first
