@@ -23,14 +23,13 @@ from salpcc.schemas.version import TOOL
 from salpcc.stages.lattice.layers import alone, movable_mask, placed
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
-from salpcc.stages.predict.values import predict_sweeps
-from salpcc.stages.residual_code.archive.format import ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive.format import ScanEntry, ScanPayload, frame_number
 from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
-from salpcc.stages.residual_code.gop import decode_gop
+from salpcc.stages.residual_code.gop import decode_gop, encode_movable
 from salpcc.stages.residual_code.sensor.gop_models import GopModels
-from salpcc.stages.residual_code.sensor.scan_coder import decode_scan, encode_scan
+from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 from salpcc.stages.segment.task import keep
 
 VERSION = 1
@@ -58,8 +57,7 @@ class Selection:
 
     def concerns(self, name: str, place: int) -> bool:
         """Tell whether points of a scan may go."""
-        number = int(name) if name.isdecimal() else place
-        return self.frames is None or self.frames[0] <= number < self.frames[1]
+        return self.frames is None or self.frames[0] <= frame_number(name, place) < self.frames[1]
 
     def gone(self, classes: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
         """Mark which movable points ``(M,)`` of a scan that it concerns go, by their classes."""
@@ -180,10 +178,10 @@ def _coded_anew(
         movable = decode_scan(layer.data, sensor, models, static)
         pairs.append((static, _without(static, movable, sensor, selection) if some else movable))
     effort = str(reader.facts.config.get("effort", "default"))
-    models, coded = GopModels(sensor), []
-    predictions = predict_sweeps((movable for _, movable in pairs), sensor, effort)
-    for layer, (static, movable), predicted in zip(layers, pairs, predictions, strict=True):
-        payload = encode_scan(movable, sensor, predicted, models, static)
+    coded = []
+    for layer, (_, movable), payload in zip(
+        layers, pairs, encode_movable(pairs, sensor, effort), strict=True
+    ):
         strays = len(movable.stray_index)
         entry = ScanEntry(layer.entry.name, movable.n_points, len(movable), 0, strays, **payload.sizes)
         coded.append(replace(layer, entry=entry, data=payload.data))

@@ -11,6 +11,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from salpcc.pipeline.catalogue import catalogue_of, write_catalogue
 from salpcc.pipeline.cluster import check_device, connect
 from salpcc.pipeline.encode import resolve
 from salpcc.pipeline.graph import Graph, GraphOptions, Outcome
@@ -190,6 +191,7 @@ def _gather(
     now["baselines"] = baselines_.filter(record.among(baselines_, now["metrics"], ("sequence", "name")))
     now["failures"] = record.with_earlier(request.out, "failures", now["failures"], kept - asked)
     record.record(request.out, run, **now)
+    write_catalogue(catalogue_of(now["metrics"]), request.out)
 
 
 def _notes(config: RunConfig, earlier: dict[str, str]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -36,7 +35,7 @@ from salpcc.stages.evaluate.report.baseline_figures import OURS
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.bag import clouds_of
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 
@@ -155,8 +154,8 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
     try:
         reader = ArchiveReader(archive_path(out, gop.sequence))
         payloads = reader.payloads(gop.number)
-        payloads += reader.movable_payloads(gop.number)
-        content = [[vars(payload.entry), zlib.crc32(payload.data)] for payload in payloads]
+        moving = reader.movable_payloads(gop.number)
+        content = [[vars(payload.entry), payload.checksum] for payload in payloads + moving]
         digest = digest_of(inputs, "evaluate", evaluate.VERSION, gop.number, content)
         ref = store.ref(gop.sequence, "evaluate", gop.number, digest)
         result = GopResult(inputs, digest, (("evaluate", ref),))
@@ -164,7 +163,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
             return result
         entries = reader.entries[gop.number]
         names = {entry.name for entry in entries}
-        layers = {entry.name: entry for entry in reader.movable_gops[gop.number]}
+        layers = {payload.entry.name: payload for payload in moving}
         dropped, found = _aside(store, gop, inputs)
         if reader.movable == "layered":  # it is all there
             dropped = dict.fromkeys(names)
@@ -175,8 +174,10 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
             _originals(gop, refs, with_labels=config.uses_network or config.labels == "given"),
             pa.Table.from_pylist(
                 [
-                    vars(entry) | {"movable": reader.movable, **_of_layer(layers.get(entry.name))}
-                    for entry in entries
+                    vars(entry)
+                    | {"movable": reader.movable}
+                    | _of_layers(payload, layers.get(payload.entry.name))
+                    for entry, payload in zip(entries, payloads, strict=True)
                 ]
             ),
             sequence=gop.sequence,
@@ -216,11 +217,12 @@ def _aside(store: ShardStore, gop: GopSource, inputs: str) -> tuple[_Aside, _Asi
     return dropped, found
 
 
-def _of_layer(entry: ScanEntry | None) -> dict[str, int | None]:
-    """Points and bytes of the movable layer of a scan."""
-    if entry is None:
-        return {"points_movable": None, "bytes_movable": None}
-    return {"points_movable": entry.kept, "bytes_movable": entry.bytes}
+def _of_layers(static: ScanPayload, movable: ScanPayload | None) -> dict[str, Any]:
+    """Points and bytes of the movable layer of a scan, and the checksums of both."""
+    if movable is None:
+        return {"points_movable": None, "bytes_movable": None, "checksum": static.checksum}
+    entry, checksum = movable.entry, f"{static.checksum}-{movable.checksum}"
+    return {"points_movable": entry.kept, "bytes_movable": entry.bytes, "checksum": checksum}
 
 
 def _warm_up(reader: ArchiveReader, gop: int) -> None:

@@ -14,6 +14,7 @@ import typer
 from salpcc.pipeline.cli import archives as cli_archive
 from salpcc.pipeline.cli import data as cli_data
 from salpcc.pipeline.cli import maps as cli_map
+from salpcc.pipeline.cli import parts as cli_parts
 from salpcc.pipeline.cli import run_log as cli_log
 from salpcc.pipeline.cli import run_sequences as cli_run
 from salpcc.pipeline.cli import train_networks as cli_train
@@ -46,6 +47,7 @@ cli_log.register(cli_run.app)
 app.add_typer(cli_run.app, name="run")
 app.add_typer(cli_train.app, name="train")
 cli_archive.register(app)
+cli_parts.register(app)
 cli_map.register(app)
 cli_data.register(app)
 

@@ -98,9 +98,11 @@ def _selected(archive: Archive, frames: str | None) -> Iterator[Scan]:
     if selection is None:
         yield from archive
         return
+    from salpcc.stages.residual_code.archive.format import frame_number
+
     first, last = selection
     for place, name in enumerate(archive.names):
-        if first <= (int(name) if name.isdecimal() else place) < last:
+        if first <= frame_number(name, place) < last:
             yield archive[place]
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.config import GRID_ACCURACY
 from salpcc.schemas.errors import ArchiveError
-from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
+from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import KEPT
 from salpcc.stages.evaluate.measures.match import kept_points
@@ -78,12 +78,14 @@ def run(
             )
         row = _sizes(payload) | {"sequence": sequence, "gop": gop, "time": scan.time, "decode_ms": decode_ms}
         row["points_decoded"] = len(scan)
+        row["motion"] = scan.motion
         source = next(sources, None)
         if source is not None:
             known = _known(source, dropped or {})
             if in_order:
                 classes = (found or {}).get(source.name)
                 row |= _compare(source, scan, max_error, known, classes, sample and index == 0)
+                row["class_counts"] = _class_counts(source, scan, known, classes)
             else:
                 row |= _compare_unordered(
                     source, scan, max_error or GRID_ACCURACY, known, sample and index == 0
@@ -118,6 +120,7 @@ def _sizes(payload: Mapping[str, Any]) -> dict[str, Any]:
         "bytes_intensity": payload["intensity"],
         "bytes_classes": payload["classes"],
         "bytes_side": payload["side"],
+        "checksum": payload.get("checksum"),
     }
 
 
@@ -127,6 +130,18 @@ def _known(source: Scan, dropped: _Dropped) -> NDArray[np.uint8] | None:
         return None
     classes = dropped[source.name]
     return np.full(len(source), KEPT, np.uint8) if classes is None else classes
+
+
+def _class_counts(
+    source: Scan, decoded: Scan, dropped: NDArray[np.uint8] | None, found: NDArray[np.uint8] | None
+) -> NDArray[np.int64] | None:
+    """Count the points of a source scan by class; None where the classes of some are not known."""
+    if found is None and decoded.classes is not None:
+        gone = () if dropped is None else dropped[dropped != KEPT]
+        found = np.concatenate([decoded.classes, gone]).astype(np.uint8)
+    if found is None or len(found) != len(source):
+        return None
+    return np.bincount(found, minlength=len(CLASSES))
 
 
 def _compare(

@@ -40,13 +40,19 @@ def encode_layers(
     """Encode the static and movable layers of one GOP, predictions included."""
     group = list(layers)
     coded = encode_gop((static for static, _ in group), sensor, effort)
+    return list(zip(coded, encode_movable(group, sensor, effort), strict=True))
+
+
+def encode_movable(
+    layers: list[tuple[Sweep, Sweep]], sensor: SensorModel, effort: str = "default"
+) -> list[Payload]:
+    """Encode the movable layers of one GOP, each with its static one at hand."""
     models = GopModels(sensor)
-    predictions = predict_sweeps((movable for _, movable in group), sensor, effort)
-    of_movable = (
+    predictions = predict_sweeps((movable for _, movable in layers), sensor, effort)
+    return [
         encode_scan(movable, sensor, predicted, models, static)
-        for (static, movable), predicted in zip(group, predictions, strict=True)
-    )
-    return list(zip(coded, of_movable, strict=True))
+        for (static, movable), predicted in zip(layers, predictions, strict=True)
+    ]
 
 
 def decode_any(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep | GridSweep]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-VERSION = 6
+VERSION = 7
 
 # One row per scan, measured on what was decoded from the archive. A null in a measured column means that
 # there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
@@ -39,6 +39,9 @@ METRICS = pa.schema(
         ("bit_exact", pa.bool_()),  # x, y, z and intensity, float32 bit for bit
         ("intensity_exact", pa.bool_()),
         ("decode_ms", pa.float64()),  # CPU
+        ("motion", pa.list_(pa.float64())),  # v, w: metres and radians per turn; null where none is known
+        ("checksum", pa.string()),  # of the payload of each layer
+        ("class_counts", pa.list_(pa.int64())),  # points of the source by class; null where none were found
         ("in_order", pa.bool_()),  # errors compared in file order; else to the nearest point both ways
         (
             "group_counts",

@@ -39,6 +39,11 @@ class ScanEntry:
         """Bytes of the payload."""
         return self.geometry + self.intensity + self.classes + self.side
 
+    def of_sizes(self, sizes: dict[str, int]) -> ScanEntry:
+        """Return it with the bytes by group of another payload of the same scan."""
+        counts = self.n_points, self.kept, self.dropped_movable, self.strays
+        return ScanEntry(self.name, *counts, **sizes)
+
     def with_layer(self, movable: ScanEntry) -> ScanEntry:
         """Return the entry of both layers of a scan, this being that of the static one."""
         sums = {
@@ -60,6 +65,11 @@ class ScanPayload:
     frame_id: str
     data: bytes
     movable: ScanPayload | None = None
+
+    @property
+    def checksum(self) -> str:
+        """The CRC-32 that ends the payload, 8 hex digits."""
+        return self.data[:-5:-1].hex()
 
 
 @dataclass(frozen=True)
@@ -87,6 +97,16 @@ class ArchiveFacts:
 def sequence_number(name: str, place: int) -> int:
     """The ``sequence`` of a scan's message: its name where that is a number, else ``place``, the messages before it."""
     return int(name) % 2**32 if name.isascii() and name.isdigit() else place
+
+
+def frame_number(name: str, place: int) -> int:
+    """The number by which users know a scan: its name where that is a number, also behind a topic; else its place.
+
+    Args:
+        place: the number of scans before it.
+    """
+    number = name.rpartition("-")[2]
+    return int(number) if number.isascii() and number.isdigit() else place
 
 
 def entry_of(row: list[Any]) -> ScanEntry:

@@ -19,6 +19,7 @@ from mcap.records import (
     ChunkIndex,
     Footer,
     Message,
+    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -119,6 +120,23 @@ class ArchiveReader:
         return self._payloads(
             f"movable layer of GOP {gop}", self.movable_gops[gop], self._movable_chunks.get(gop)
         )
+
+    def times(self, gop: int) -> list[int]:
+        """Read the time stamps (ns) of the scans of one GOP, and none of the scans.
+
+        Raises:
+            ArchiveError: they are damaged.
+        """
+        if not self.gops[gop]:
+            return []
+        try:
+            at = self._chunks[gop].message_index_offsets[1]
+            index = MessageIndex.read(self._record(at, Opcode.MESSAGE_INDEX))
+        except PARSE_ERRORS as error:
+            raise ArchiveError(f"{self.path}: index of GOP {gop} is damaged ({error})") from error
+        if len(index.records) != len(self.gops[gop]):
+            raise ArchiveError(f"{self.path}: index of GOP {gop} lists {len(index.records)} scans")
+        return [time for time, _ in index.records]
 
     def layer_chunks(self) -> list[tuple[str, int, ChunkIndex]]:
         """Return layer (``static`` or ``movable``), GOP and index of every chunk of coded scans, in the order of the file."""

@@ -1,0 +1,153 @@
+"""``find``, ``cut``, ``merge``: what one takes from archives, and puts together."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salpcc.pipeline.cli.archives import Json, Path_
+from salpcc.pipeline.cli.run_sequences import parse_frames
+from salpcc.pipeline.progress import STDERR
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import location
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+New = Annotated[
+    Path,
+    typer.Option(parser=location, metavar="FILE|URL", help="The new archive; nothing is overwritten."),
+]
+_SHOWN = ("sequence", "name", "time", "points", "speed")  # and what the condition names
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the application."""
+    app.command(
+        epilog="Example:  `salpcc-pipeline find out 'person > 50 and speed < 1' --export people`  ·  columns: points, "
+        "static, movable, ground, other, every class (person, car, other_vehicle, …), speed (m/s), yaw_rate (rad/s), "
+        "bits (a point), bytes, fallback, name, sequence, time (ns), gop and more, which a mistake in the condition lists"
+    )(find)
+    app.command(
+        epilog="Examples:  `salpcc-pipeline cut out/archives/04.mcap --frames 100:200 --out part.mcap`  ·  "
+        "`salpcc-pipeline cut out/archives/drive.mcap --time 60:90.5 --topic /front/points --out part.mcap`"
+    )(cut)
+    app.command(epilog="Example:  `salpcc-pipeline merge first.mcap second.mcap --out whole.mcap`")(merge)
+
+
+def find(
+    out: Annotated[
+        Path, typer.Argument(parser=location, metavar="OUT", help="The --out of runs, or its catalogue.")
+    ],
+    condition: Annotated[
+        str, typer.Argument(metavar="CONDITION", help="Which scans, as a condition of SQL over the columns.")
+    ],
+    export: Annotated[
+        Path | None,
+        typer.Option(
+            parser=location,
+            metavar="DIR|FILE",
+            help="Write the scans that are found to archives: one a sequence in DIR, or one FILE.mcap of all.",
+        ),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Find scans in the catalogue that runs leave: by what was seen, by motion, size, or any other column."""
+    from salpcc.pipeline.catalogue import read_catalogue
+    from salpcc.pipeline.find import find as find_scans
+    from salpcc.pipeline.find import named_columns
+
+    folder = out.parent if out.suffix == ".parquet" else out
+    catalogue = read_catalogue(folder)
+    found = find_scans(catalogue, condition)
+    if json_:
+        typer.echo(json.dumps(found.to_pylist(), indent=1))
+    else:
+        named = [name for name in named_columns(catalogue, condition) if name not in _SHOWN]
+        for line in _lines(found, [*_SHOWN, *named]):
+            typer.echo(line)
+        STDERR.print(f"{len(found):,} of {len(catalogue):,} scans", highlight=False)
+    if export is not None and len(found):
+        from salpcc.pipeline.export_found import export_found
+
+        for path, counts in export_found(found, folder, export):
+            STDERR.print(f"{path}: {counts.told}", soft_wrap=True, markup=False, highlight=False)
+
+
+def _lines(found: pa.Table, columns: list[str]) -> list[str]:
+    """A head and a line a scan, in columns; times in seconds."""
+    cells = [[name, *(_cell(name, value) for value in found.column(name).to_pylist())] for name in columns]
+    widths = [max(map(len, column)) for column in cells]
+    left = {"sequence", "name", "archive", "checksum"}
+    return [
+        "  ".join(
+            cell.ljust(width) if name in left else cell.rjust(width)
+            for name, cell, width in zip(columns, row, widths, strict=True)
+        ).rstrip()
+        for row in zip(*cells, strict=True)
+    ]
+
+
+def _cell(name: str, value: Any) -> str:
+    if value is None:
+        return "-"
+    if name == "time":
+        return f"{value // 10**9}.{value % 10**9:09d}"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def cut(
+    archive: Path_,
+    out: New,
+    frames: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Frames A to B - 1, by name or place.")
+    ] = None,
+    time: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A:B", help="From A up to B seconds after the first scan; either may be left out."
+        ),
+    ] = None,
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="These topics of a log only, of clouds or others; may be repeated."
+        ),
+    ] = None,
+) -> None:
+    """Take a part of an archive; coded scans are copied, only a group that is cut into is coded anew."""
+    from salpcc.pipeline.cut import Selection
+    from salpcc.pipeline.cut import cut as cut_archive
+
+    selection = Selection(parse_frames(frames), _seconds(time), tuple(topic or ()))
+    if selection == Selection():
+        raise UsageError("cut takes --frames, --time or --topic")
+    typer.echo(f"{cut_archive(archive, out, selection).told}: {out}")
+
+
+def _seconds(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    try:
+        span = float(first or 0), float(last or "inf")
+    except ValueError:
+        span = (0.0, 0.0)
+    if not colon or not span[0] < span[1]:
+        raise UsageError(f"--time {text}: write A:B, seconds after the first scan, such as 10:12.5 or 60:")
+    return span
+
+
+def merge(
+    archives: Annotated[
+        list[Path], typer.Argument(parser=location, metavar="ARCHIVE…", help="Two archives or more.")
+    ],
+    out: New,
+) -> None:
+    """Put archives of one sensor together, ordered by time where they are of one sequence; coded scans are copied."""
+    from salpcc.pipeline.merge import merge as merge_archives
+
+    typer.echo(f"{merge_archives(archives, out).told}: {out}")
