@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from salpcc.schemas.cloud_layout import Field, Layout, read_layout
 
 _MOST_RINGS = 4096
+TIME_FIELDS = (
+    "time", "t", "timestamp", "time_stamp", "offset_time", "offset_ns", "time_offset", "timeOffset"
+)  # fmt: skip
 RING_FIELDS = ("ring", "channel", "laser_id", "line")  # names that drivers give to the number of the laser
 
 
@@ -61,6 +64,11 @@ class Cloud:
         with np.errstate(invalid="ignore"):
             sound = (numbers == np.rint(numbers)) & (numbers >= 0) & (numbers < _MOST_RINGS)
         return numbers.astype(np.int64) if sound.all() else None
+
+    @property
+    def time_field(self) -> Field | None:
+        """The column that tells the time of each point, if there is one."""
+        return next((c for c in self.layout.columns if c.name in TIME_FIELDS and c.dtype.itemsize >= 4), None)
 
     def values(self, column: Field) -> NDArray[np.generic]:
         """Values ``(N,)`` of one of the layout's columns, native byte order."""

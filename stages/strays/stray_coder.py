@@ -2,7 +2,8 @@
 
 Stream: length of the places (uint32), the places as gaps, form, left, up and per (uint8, uint16, uint16, uint32), the points.
 Many strays that lie on the lattice of the sensor model after all, as of a sensor whose files no other coder knows, are coded by it
-(:mod:`.aimed_strays`).
+(:mod:`.aimed_strays`). Strays whose lasers and times their message tells may lie on rays that turn steadily (:mod:`.timed_strays`); then these
+two are told with them, and need not be told again.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from salpcc.stages.strays.list_layout import find_layout
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID, HALVES
 from salpcc.stages.strays.ray_stream import move_points, read_points, write_points
+from salpcc.stages.strays.timed_strays import read_timed, write_timed
+from salpcc.stages.strays.timeline import Timeline
 
-AIMED = 3  # the form after those of rays
+AIMED, TIMED = 3, 5  # the forms after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
@@ -58,7 +61,7 @@ def _form(points: F32, max_error: float) -> tuple[int, int, float]:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How points ``(S, 3)``, snapped if need be, are coded: on rays, or ``chosen`` on the lattice of the sensor."""
+    """How points ``(S, 3)``, snapped if need be, are coded: on rays, ``chosen`` on the lattice of the sensor, or ``timed`` already."""
 
     points: F32
     max_error: float
@@ -69,6 +72,12 @@ class Plan:
     sensor: SensorModel | None = None
     chosen: tuple[Way, Aimed] | None = None
     lanes: NDArray[np.uint8] | None = None
+    timed: tuple[bytes, Timeline] | None = None
+
+    @property
+    def told(self) -> Timeline | None:
+        """What a reader knows of the points' lasers and times."""
+        return None if self.timed is None else self.timed[1]
 
     @property
     def share(self) -> float:
@@ -83,6 +92,7 @@ def plan(
     motion: Motion = None,
     settled: bool = True,
     lanes: NDArray[np.uint8] | None = None,
+    times: NDArray[np.int64] | None = None,
 ) -> Plan:
     """Plan how to encode points ``(S, 3)``.
 
@@ -91,6 +101,7 @@ def plan(
         motion: by place in the list, that moved them off it (:mod:`salpcc.stages.lattice.list_motion`).
         settled: they were snapped, if need be, and no bit may change.
         lanes: the laser of each ``(S,)``, where the sensor tells; a guess will do.
+        times: of each ``(S,)``, where they are told.
     """
     lanes = lanes if len(points) >= _FEWEST else None
     points = np.ascontiguousarray(points)
@@ -102,6 +113,10 @@ def plan(
         return aimed
     layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes)
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
+    if settled and step == 0.0 and lanes is not None and times is not None:
+        timed = write_timed(points, lanes, times, form, per)
+        if timed is not None and len(timed[0]) < len(encode_strays(np.arange(len(points)), rays)):
+            return replace(rays, timed=timed)
     return min(aimed, rays, key=_size) if aimed else rays
 
 
@@ -133,6 +148,8 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
         return b""
     gaps = np.diff(places, prepend=-1) - 1
     first = run_encoder(lambda out: int(encode_integers(gaps[:, None], integer_model(1), out)), len(places))
+    if found.timed is not None:
+        return _HEAD.pack(len(first), TIMED, 0, 1, found.per) + first + found.timed[0]
     if found.chosen is None or found.sensor is None:
         return _on_rays(found, first)
     way = found.chosen[0]
@@ -166,21 +183,28 @@ def decode_strays(
     data: NDArray[np.uint8],
     sensor: SensorModel | None = None,
     motion: Motion = None,
-) -> tuple[NDArray[np.int64], F32, bool]:
-    """Inverse of :func:`encode_strays`: places, points, and whether the data made sense; sensor and motion as for :func:`plan`."""
-    nothing = np.zeros(n, np.int64), np.zeros((n, 3), np.float32), n == 0
+) -> tuple[NDArray[np.int64], F32, Timeline | None, bool]:
+    """Inverse of :func:`encode_strays`: places, points, :attr:`Plan.told`, and whether the data made sense.
+
+    Sensor and motion are as for :func:`plan`.
+    """
+    nothing = np.zeros(n, np.int64), np.zeros((n, 3), np.float32), None, n == 0
     if n == 0 or len(data) < _HEAD.size:
         return nothing
     first, form, left, up, per = _HEAD.unpack(data[: _HEAD.size].tobytes())
     begin = _HEAD.size + first
     step = ray_step(max_error)
     known = form <= BITS or form == HALVES or (form == AIMED and sensor is not None)
+    known = known or (form == TIMED and step == 0.0)
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
     places = np.cumsum(rows[:, 0] + 1) - 1
     body = np.ascontiguousarray(data[begin:])
-    if form == AIMED:
+    told = None
+    if form == TIMED:
+        points, told, whole = read_timed(n, per, body)
+    elif form == AIMED:
         assert sensor is not None
         points, whole = read_body(
             n,
@@ -190,11 +214,11 @@ def decode_strays(
             body,
             sensor,
             motion,
-            lambda m, d: decode_strays(m, max_error, d)[1:],
+            lambda m, d: decode_strays(m, max_error, d)[1::2],
         )
     else:
         points, whole = read_points(n, (left, up), form, per, step, body)
-    return places, points, bool(sound and whole)
+    return places, points, told, bool(sound and whole)
 
 
 def encode_floats(values: NDArray[np.float32], out: NDArray[np.uint8]) -> int:

@@ -19,6 +19,7 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
+from salpcc.stages.strays.timeline import Timeline
 
 _WHOLE, _ROS1, _CHANNEL, _LOOSE = (
     1,
@@ -37,6 +38,7 @@ def encode_cloud(
     exact: bool,
     before: bytearray,
     sensor: SensorModel | None = None,
+    told: Timeline | None = None,
 ) -> tuple[bytes, Cloud]:
     """Encode what a cloud adds to the decoded points ``(N, 3)`` of a scan.
 
@@ -44,6 +46,7 @@ def encode_cloud(
         exact: the points are; float64 coordinates are then coded in full, else they follow the points.
         before: the envelope of the scan before; becomes that of this scan.
         sensor: whose lattice the points may lie on.
+        told: lasers and times of the points, where their own stream tells them.
 
     Returns:
         the section, and the cloud as it will be decoded.
@@ -54,7 +57,7 @@ def encode_cloud(
     code = encode_bytes(envelope, before)
     loose = encode_bytes(cloud.loose, bytearray())
     layout = cloud.layout
-    known = points_of(points, cloud, sensor)
+    known = points_of(points, cloud, sensor, told)
     flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1 + (cloud.channel > 0) * _CHANNEL
     flags |= (bool(cloud.loose) and not cloud.whole) * _LOOSE
     parts = [
@@ -80,6 +83,7 @@ def decode_cloud(
     exact: bool,
     before: bytearray,
     sensor: SensorModel | None = None,
+    told: Timeline | None = None,
 ) -> Cloud:
     """Inverse of :func:`encode_cloud`.
 
@@ -127,7 +131,7 @@ def decode_cloud(
     if cloud.whole or flags & _LOOSE:
         raw = section[at - n_loose : at]
         cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
-    known = points_of(points, cloud, sensor)
+    known = points_of(points, cloud, sensor, told)
     columns = []
     for field, base in _columns(layout, points):
         if base is not None and not exact:
@@ -140,10 +144,15 @@ def decode_cloud(
     return replace(cloud, rest=_rest(layout, columns, len(points)))
 
 
-def points_of(points: NDArray[np.float32], cloud: Cloud, sensor: SensorModel | None = None) -> Points:
+def points_of(
+    points: NDArray[np.float32],
+    cloud: Cloud,
+    sensor: SensorModel | None = None,
+    told: Timeline | None = None,
+) -> Points:
     """What the fields of a scan are predicted from: its decoded points ``(N, 3)``, and how they lie."""
     layout = cloud.layout
-    return Points.of(points, layout.width if cloud.whole and layout.height > 1 else 0, sensor)
+    return Points.of(points, layout.width if cloud.whole and layout.height > 1 else 0, sensor, told)
 
 
 def _columns(layout: Layout, points: NDArray[np.float32]) -> list[tuple[Any, NDArray[np.float64] | None]]:

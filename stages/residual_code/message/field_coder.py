@@ -49,11 +49,13 @@ from salpcc.stages.residual_code.message.firing_times import (
     fired_by,
 )
 from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
+from salpcc.stages.strays.timeline import LASERS, Timeline
 
-CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS = range(6)
+CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD = range(7)
 _RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, period, length
 _BY_LASER = struct.Struct("<I")  # length
 _TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
+_TOLD = struct.Struct("<BBq")  # form, power of ten, origin
 _COLUMNS = struct.Struct("<BqII")  # void, origin, lengths of shifts and values
 _CLOSE = 0.002  # metres from the lattice
 _FEWEST = 500  # values; delays, shifts and the like of fewer cost more than they save
@@ -74,6 +76,7 @@ class Points:
         periods: distances at which fields may repeat.
         width: of a row of an organised cloud, else 0.
         sensor: whose lattice they may lie on.
+        told: lasers and times of the points, where these are known.
     """
 
     xyz: NDArray[np.float32]
@@ -82,9 +85,16 @@ class Points:
     periods: tuple[int, ...]
     width: int = 0
     sensor: SensorModel | None = None
+    told: Timeline | None = None
 
     @classmethod
-    def of(cls, xyz: NDArray[np.float32], width: int, sensor: SensorModel | None = None) -> Points:
+    def of(
+        cls,
+        xyz: NDArray[np.float32],
+        width: int,
+        sensor: SensorModel | None = None,
+        told: Timeline | None = None,
+    ) -> Points:
         """Derive it from decoded points; ``width`` is that of a row of an organised cloud, else 0."""
         wide = xyz.astype(np.float64)
         with np.errstate(invalid="ignore", over="ignore"):
@@ -92,17 +102,20 @@ class Points:
             void = ~((squares > 0) & (squares < 1e12))
         ranges = np.sqrt(np.where(void, 0.0, squares))
         periods = (1, width, 4 * width) if width > 1 else (1, 16, 32, 64, 128)
-        return cls(xyz, void, ranges, periods, width, sensor)
+        return cls(xyz, void, ranges, periods, width, sensor, told)
 
     @cached_property
     def fired(self) -> Fired | None:
-        """Lasers and ticks of the points; None without a sensor."""
+        """Lasers and ticks of the points, of which none are known where lasers are told; None without a sensor."""
+        if self.told is not None:
+            laser = self.told.laser.astype(np.int64)
+            return Fired(laser, np.zeros_like(laser), np.zeros(LASERS + 1, np.int64), 1)
         return None if self.sensor is None else fired_by(self.sensor, self.xyz)
 
     @cached_property
     def on_lattice(self) -> bool:
         """Whether lasers and ticks mean anything; to be asked by a writer only."""
-        return self.sensor is not None and lies_on(self.sensor, self.xyz, _CLOSE)
+        return self.told is not None or (self.sensor is not None and lies_on(self.sensor, self.xyz, _CLOSE))
 
 
 def encode_field(values: Values, points: Points, base: Values | None = None) -> bytes:
@@ -114,6 +127,9 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
     bits = to_bits(values)
     if len(values) == 0 or (bits == bits[0]).all():
         return bytes([CONSTANT]) + values[:1].tobytes().ljust(values.dtype.itemsize, b"\0")
+    told = _encode_told(values, points)
+    if told is not None:
+        return told
     width = 8 * values.dtype.itemsize
     best: tuple[int, tuple[int, int, int, int, int, int], Integers] | None = None
     for form, scale, based, integers in _forms(values, points, base):
@@ -142,7 +158,8 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
                 coded = bytes([SYMBOLS]) + _RECORD.pack(*way[:5], period, len(stream)) + stream
     if base is not None or len(values) < _FEWEST or 8 * len(coded) < _WORTH_IT * len(values):
         return coded
-    others = (encode(values, points) for encode in (_encode_by_laser, _encode_times, _encode_columns))
+    ways = (_encode_by_laser, _encode_times, _encode_columns)
+    others = (encode(values, points) for encode in ways)
     return min([coded, *(other for other in others if other is not None)], key=len)
 
 
@@ -175,6 +192,16 @@ def _encode_times(values: Values, points: Points) -> bytes | None:
         spans.form, spans.power, clocked.shifted, clocked.apart, spans.origin, len(delays), len(stream)
     )
     return bytes([TIMES]) + head + delays + stream
+
+
+def _encode_told(values: Values, points: Points) -> bytes | None:
+    """The field that the times of the points are of; None where it is another."""
+    if points.told is None or values.dtype.itemsize < 4:
+        return None
+    spans = spans_of(values)
+    if spans is None or (spans.low != points.told.time).any():
+        return None
+    return bytes([TOLD]) + _TOLD.pack(spans.form, spans.power, spans.origin)
 
 
 def _encode_columns(values: Values, points: Points) -> bytes | None:
@@ -232,6 +259,13 @@ def _decode_times(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> 
     return from_spans(numbers, form, power, origin, kind), end
 
 
+def _decode_told(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    (form, power, origin), at = _unpacked(_TOLD, data, at)
+    if points.told is None or form > DECIMAL or power > MOST_DIGITS or kind.itemsize < 4:
+        raise ArchiveError("payload does not decode")
+    return from_spans(points.told.time, form, power, origin, kind), at
+
+
 def _decode_columns(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
     (void, origin, n_shifts, length), at = _unpacked(_COLUMNS, data, at)
     end = at + n_shifts + length
@@ -251,7 +285,7 @@ def _unpacked(what: struct.Struct, data: bytes, at: int) -> tuple[tuple[Any, ...
     return what.unpack_from(data, at), at + what.size
 
 
-_DECODE = {BY_LASER: _decode_by_laser, TIMES: _decode_times, COLUMNS: _decode_columns}
+_DECODE = {BY_LASER: _decode_by_laser, TIMES: _decode_times, COLUMNS: _decode_columns, TOLD: _decode_told}
 
 
 def decode_field(

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.entropy.number_forms import spans_of
 from salpcc.stages.ingest.point_cloud import intensity_of
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode_cloud, points_of
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
+from salpcc.stages.strays.timeline import Timeline
 
 
 def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
@@ -26,25 +28,41 @@ def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
     return levels is None or len(sweep.laser) == 0 or sweep.cloud.layout.slots[3] is None
 
 
-def encode_intensity(sweep: Sweep, sensor: SensorModel) -> bytes:
+def told_times(sweep: Sweep) -> NDArray[np.int64] | None:
+    """The times ``(N,)`` of points as their message tells them, as whole numbers; None where it does not."""
+    field = None if sweep.cloud is None else sweep.cloud.time_field
+    if sweep.cloud is None or field is None or len(sweep) == 0:
+        return None
+    spans = spans_of(sweep.cloud.values(field))
+    return None if spans is None else spans.low
+
+
+def encode_intensity(sweep: Sweep, sensor: SensorModel, told: Timeline | None = None) -> bytes:
     """Encode float32 intensities as a field; nothing where they are in the cloud anyway."""
     assert sweep.cloud is not None
     if sweep.cloud.layout.slots[3] is None:
         return b""
     scan = sweep_to_scan(sweep, sensor)
-    return encode_field(scan.intensity, points_of(scan.points, sweep.cloud, sensor))
+    return encode_field(scan.intensity, points_of(scan.points, sweep.cloud, sensor, told))
 
 
-def encode_logged(sweep: Sweep, sensor: SensorModel, before: bytearray) -> tuple[bytes, Sweep]:
-    """Encode the cloud of a sweep; return the stream, and the sweep as it will be decoded."""
+def encode_logged(
+    sweep: Sweep, sensor: SensorModel, before: bytearray, told: Timeline | None = None
+) -> tuple[bytes, Sweep]:
+    """Encode the cloud of a sweep; return the stream, and the sweep as it will be decoded; ``told``: by the points' own stream."""
     assert sweep.cloud is not None
     points = sweep_to_scan(sweep, sensor).points
-    stream, cloud = encode_cloud(sweep.cloud, points, sweep.max_error == 0, before, sensor)
+    stream, cloud = encode_cloud(sweep.cloud, points, sweep.max_error == 0, before, sensor, told)
     return stream, replace(sweep, cloud=cloud)
 
 
 def decode_logged(
-    sweep: Sweep, sensor: SensorModel, stream: bytes, intensity: bytes | None, before: bytearray
+    sweep: Sweep,
+    sensor: SensorModel,
+    stream: bytes,
+    intensity: bytes | None,
+    before: bytearray,
+    told: Timeline | None = None,
 ) -> Sweep:
     """Return a decoded sweep with its cloud; inverse of :func:`encode_logged` and :func:`encode_intensity`.
 
@@ -55,14 +73,15 @@ def decode_logged(
         ArchiveError: a stream is damaged.
     """
     points = sweep_to_scan(sweep, sensor).points
-    cloud = decode_cloud(stream, sweep.n_points, points, sweep.max_error == 0, before, sensor)
+    cloud = decode_cloud(stream, sweep.n_points, points, sweep.max_error == 0, before, sensor, told)
     sweep = replace(sweep, cloud=cloud)
     if intensity is None:
         return sweep
     if cloud.layout.slots[3] is None:
         values = intensity_of(cloud)
     else:
-        values, end = decode_field(intensity, 0, np.dtype(np.float32), points_of(points, cloud, sensor))
+        known = points_of(points, cloud, sensor, told)
+        values, end = decode_field(intensity, 0, np.dtype(np.float32), known)
         if end != len(intensity):
             raise ArchiveError("payload does not decode")
     on, off = source_places(sweep, sensor)

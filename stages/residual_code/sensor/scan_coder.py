@@ -36,6 +36,7 @@ from salpcc.stages.residual_code.message.logged_scan import (
     encode_logged,
     encode_stray_classes,
     intensity_is_field,
+    told_times,
 )
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.gop_models import GopModels
@@ -104,13 +105,14 @@ def encode_scan(
         listed = alone(sweep, movable_mask(static, sweep, sensor))
     # Of points without a lattice, by their place in the list, which a movable layer's have not.
     moved = sweep.motion if n == 0 and static is None else None
-    strays = plan(sweep.stray_points[:, :3], sweep.max_error, sensor, moved, lanes=_lanes(listed))
+    lanes, times = _lanes(listed), None if n else told_times(listed)
+    strays = plan(sweep.stray_points[:, :3], sweep.max_error, sensor, moved, lanes=lanes, times=times)
     layout = strays.layout
     streams.append(encode_strays(sweep.stray_index, strays))
     levels = intensity_levels(sweep.intensity)
     if intensity_is_field(sweep, levels):
         flags |= FLOAT_INTENSITY
-        streams.append(encode_intensity(listed, sensor))
+        streams.append(encode_intensity(listed, sensor, strays.told))
     elif levels is None:
         flags |= FLOAT_INTENSITY
         streams.append(run_encoder(lambda out: encode_values(sweep.intensity, (1, 0), out), n))
@@ -133,7 +135,7 @@ def encode_scan(
         streams.append(b"")
     if sweep.cloud is not None:
         flags |= CLOUD
-        stream, listed = encode_logged(listed, sensor, models.envelope)
+        stream, listed = encode_logged(listed, sensor, models.envelope, strays.told)
         sweep = replace(sweep, cloud=listed.cloud)
         streams.append(stream)
     else:
@@ -285,7 +287,9 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels, static: Swe
                 )
             )
     moved = header.motion if n == 0 else None
-    places, points = checked(decode_strays(s, header.max_error, stray, sensor, moved))
+    places, points, told = checked(decode_strays(s, header.max_error, stray, sensor, moved))
+    if told is not None and (n or not header.flags & CLOUD):
+        raise ArchiveError("payload does not decode")
     if as_field:
         intensities = np.zeros(n, np.float32)
     elif header.flags & FLOAT_INTENSITY:
@@ -308,7 +312,8 @@ def decode_scan(data: bytes, sensor: SensorModel, models: GopModels, static: Swe
     )  # fmt: skip
     if header.flags & CLOUD:
         listed = sweep if static is None else alone(sweep, movable_mask(static, sweep, sensor))
-        listed = decode_logged(listed, sensor, streams[8], streams[5] if as_field else None, models.envelope)
+        fields = streams[5] if as_field else None
+        listed = decode_logged(listed, sensor, streams[8], fields, models.envelope, told)
         sweep = replace(listed, stray_index=places, lead=lead)
     if header.flags & CLASSES:
         if header.flags & CLOUD:

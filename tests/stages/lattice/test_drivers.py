@@ -84,7 +84,7 @@ def test_calibration_finds_the_driver(formula: str, single: bool) -> None:
     assert sizes[0] < 0.65 * sizes[1]
     for bound in (0.0, 0.01):
         data = encode_strays(np.arange(len(points)), plan(points, bound, again, settled=bound == 0.0))
-        _, back, sound = decode_strays(len(points), bound, np.frombuffer(bytearray(data), np.uint8), again)
+        _, back, _, sound = decode_strays(len(points), bound, np.frombuffer(bytearray(data), np.uint8), again)
         assert sound
         assert np.linalg.norm(back.astype(np.float64) - points, axis=1).max() <= bound
 
@@ -123,7 +123,7 @@ def test_calibration_finds_beams_beside_the_axis() -> None:
     again = SensorModel.from_json(model.to_json())
     assert again.to_json() == model.to_json()
     data = encode_strays(np.arange(len(points)), plan(points, 0.0, again))
-    _, back, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), again)
+    _, back, _, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), again)
     assert sound
     assert back.tobytes() == points.tobytes()
 

@@ -69,7 +69,7 @@ def test_gains_in_any_order(
         snapped = snap(points, max_error, sensor)
         data = encode_strays(np.arange(len(points)), plan(snapped, max_error, sensor))
         read = np.frombuffer(bytearray(data), np.uint8)
-        back, decoded, sound = decode_strays(len(points), max_error, read, sensor)
+        back, decoded, _, sound = decode_strays(len(points), max_error, read, sensor)
         assert sound
         assert decoded.tobytes() == snapped.tobytes()
         assert (back == np.arange(len(points))).all()
@@ -88,7 +88,9 @@ def test_what_is_off_the_lattice_keeps_its_place(fan: SensorModel, rows: Points,
     snapped = snap(points, max_error, fan)
     data = encode_strays(np.arange(len(points)), plan(snapped, max_error, fan))
     assert data[4] == AIMED
-    _, decoded, sound = decode_strays(len(points), max_error, np.frombuffer(bytearray(data), np.uint8), fan)
+    _, decoded, _, sound = decode_strays(
+        len(points), max_error, np.frombuffer(bytearray(data), np.uint8), fan
+    )
     assert sound
     assert decoded.tobytes() == snapped.tobytes()
     finite = np.isfinite(points).all(axis=1)
@@ -101,7 +103,7 @@ def test_firings_rounded_to_millimetres(fan: SensorModel, rows: Points) -> None:
     points = (np.rint(in_order(rows, "firings, returns") * 1000.0) / 1000.0).astype(np.float32)
     points[::100, 1] = -0.0
     data = encode_strays(np.arange(len(points)), plan(points, 0.0, fan))
-    _, decoded, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), fan)
+    _, decoded, _, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), fan)
     assert sound
     assert decoded.tobytes() == points.tobytes()
     assert data[4] == AIMED
@@ -216,7 +218,7 @@ def assert_within(points: Points, max_error: float, sensor: SensorModel | None) 
     data = np.frombuffer(
         bytearray(encode_strays(np.arange(len(points)), plan(snapped, max_error, sensor))), np.uint8
     )
-    _, decoded, sound = decode_strays(len(points), max_error, data, sensor)
+    _, decoded, _, sound = decode_strays(len(points), max_error, data, sensor)
     assert sound
     assert decoded.tobytes() == snapped.tobytes()
     if len(points):

@@ -32,7 +32,7 @@ def stacked() -> tuple[np.ndarray, np.ndarray]:
 
 def coded(points: np.ndarray, rings: np.ndarray | None) -> bytes:
     data = encode_strays(np.arange(len(points)), plan(points, 0.0, lanes=rings))
-    _, back, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8))
+    _, back, _, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8))
     assert sound
     assert back.tobytes() == points.tobytes()
     return data

@@ -1,0 +1,104 @@
+"""Points whose lasers and times are told, on the rays of lasers that turn steadily: form TIMED of :mod:`.stray_coder`.
+
+Body: bytes of the timeline (uint32), the timeline (:mod:`.timeline`); form of the coordinates, lasers less one, sensors (uint8 each); the float32
+numbers of :class:`~.turning_rays.Turning`, array by array; the walk of :mod:`.timed_coder`.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
+from salpcc.stages.strays.fit_turning import fit_turning
+from salpcc.stages.strays.ray_coder import F32
+from salpcc.stages.strays.ray_forms import BITS, GRID, HALVES
+from salpcc.stages.strays.timed_coder import code_timed, new_models
+from salpcc.stages.strays.timeline import I64, Lasers, Timeline, decode_timeline, find_timelines
+from salpcc.stages.strays.turning_rays import Turning
+
+_BODY, _RAYS = struct.Struct("<I"), struct.Struct("<BBB")
+_FEWEST, _MOST_POINTS = 2000, 1 << 22
+_LARGEST = 1e4  # of any number
+_LOOSE = 3e-3  # radians; lasers that are farther off than that turn in another way
+_HOPELESS = 6.0  # bits a point of a timeline
+_NEARLY = 1.1  # of the shortest; then rays tell which lasers are of one sensor
+
+Array = NDArray[np.uint8]
+
+
+def write_timed(points: F32, laser: Lasers, time: I64, form: int, per: int) -> tuple[bytes, Timeline] | None:
+    """Encode points ``(S, 3)`` of lasers ``(S,)`` at times ``(S,)``; None where they do not go round, or a reader would have others."""
+    if not _FEWEST <= len(points) <= _MOST_POINTS:
+        return None
+    lines = find_timelines(laser, time)
+    if not lines or 8 * len(lines[0][1]) > _HOPELESS * len(points):
+        return None
+    wide, lasers, scaled = points.astype(np.float64), laser.astype(np.int64), _scaled(time)
+    best, line, told, turning = _LOOSE, *lines[0], None
+    for one, coded in lines:
+        if len(coded) > _NEARLY * len(lines[0][1]):
+            break
+        fitted = fit_turning(wide, lasers, one.group, scaled)
+        if fitted is not None and fitted[1] < best:
+            best, line, told, turning = fitted[1], one, coded, fitted[0]
+    if turning is None:
+        return None
+    out = np.empty(48 * len(points) + 4096, np.uint8)
+    state, back = start_encoder(), points.copy()
+    _code(True, back, line, turning, form, per, state, out)
+    written = int(finish_encoder(state, out)) if state[3] == 0 else -1
+    if written < 0 or (back.view(np.int32) != points.view(np.int32)).any():
+        return None
+    rays = _RAYS.pack(form, len(turning.lasers) - 1, len(turning.sensors))
+    numbers = b"".join(a.astype("<f4").tobytes() for a in (turning.lasers, turning.sensors, turning.motion))
+    return _BODY.pack(len(told)) + told + rays + numbers + out[:written].tobytes(), line
+
+
+def read_timed(n: int, per: int, data: Array) -> tuple[F32, Timeline, bool]:
+    """Inverse of :func:`write_timed`: points ``(n, 3)``, their timeline, and whether the data made sense."""
+    points, line = np.zeros((n, 3), np.float32), Timeline(np.zeros(n, np.uint8), np.zeros(n, np.int64), 0)
+    raw = data.tobytes()
+    if not 0 < n <= _MOST_POINTS or len(raw) < _BODY.size:
+        return points, line, False
+    begin = _BODY.size + _BODY.unpack_from(raw)[0]
+    if begin + _RAYS.size > len(raw):
+        return points, line, False
+    line, sound = decode_timeline(n, raw[_BODY.size : begin])
+    form, lasers, sensors = _RAYS.unpack_from(raw, begin)
+    lasers += 1
+    sizes = (2 * lasers, 7 * sensors, 6)
+    end = begin + _RAYS.size + 4 * sum(sizes)
+    sound = sound and form in (GRID, BITS, HALVES) and end <= len(raw) and int(line.laser.max()) < lasers
+    if not sound or int(line.group[line.laser].max()) >= sensors:
+        return points, line, False
+    numbers = np.frombuffer(raw, "<f4", sum(sizes), begin + _RAYS.size).astype(np.float32)
+    if not (np.abs(numbers) < _LARGEST).all():
+        return points, line, False
+    a, b, c = np.split(numbers, np.cumsum(sizes)[:2])
+    walk = np.frombuffer(bytearray(raw[end:]), np.uint8)
+    state = start_decoder(walk)
+    _code(False, points, line, Turning(a.reshape(-1, 2), b.reshape(-1, 7), c), form, per, state, walk)
+    return points, line, bool(state[3] == 0)
+
+
+def _code(
+    writing: bool, points: F32, line: Timeline, turning: Turning, form: int, per: int, state: I64, data: Array
+) -> None:
+    order = np.argsort(-turning.lasers[:, 0].astype(np.float64), kind="stable")
+    above, below = np.full(len(order), -1), np.full(len(order), -1)
+    for sensor in range(len(turning.sensors)):
+        own = order[line.group[order] == sensor]
+        above[own[1:]], below[own[:-1]] = own[:-1], own[1:]
+    rays = tuple(np.ascontiguousarray(a) for a in (turning.lasers, turning.sensors, turning.motion))
+    code_timed(
+        writing, points, line.laser, line.group, _scaled(line.time), rays, (above, below), form, float(per), new_models(), state, data
+    )  # fmt: skip
+
+
+def _scaled(time: I64) -> NDArray[np.float64]:
+    """Times ``(N,)`` from -1/2, the first, to 1/2, the last."""
+    first, last = int(time.min()), int(time.max())
+    return np.asarray((time - first) / float(max(last - first, 1)) - 0.5)

@@ -1,0 +1,221 @@
+"""Lasers and times of a list of points, told from each other: every laser fires again after one more turn of its sensor's firings.
+
+A *group* of lasers is one sensor; a list may hold the points of several in the order of their times. Of every laser that was seen, the time at
+which it is due is known: when it last was, and one *cycle* later for every return that was missing since. The laser of the next point is that which is due
+first, or else the next after it; what differs from the time that it was due at, such as a packet's new stamp, is true of its whole group.
+
+Stream: lasers of a sensor (uint8, 0: all are of one), number of groups (uint8), first time (int64), the cycle of each group (uint32), the walk.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_bit, code_number
+
+LASERS = 256
+_NEVER = np.int64(1) << 62
+_LARGEST = np.int64(1) << 39
+_LONGEST = 1 << 32
+_MOST_SKIPPED = 64  # on the way to a laser; to go on from there is cheaper
+_STEADY = 15  # points of a group since its times last were not those that they were due at
+_SIZES = (0, 16, 32, 64, 128)  # lasers of a sensor
+_HEAD = struct.Struct("<BBq")
+
+I64 = NDArray[np.int64]
+Lasers = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Lasers ``(N,)`` and times ``(N,)``, whole numbers, of points in the order of a list; ``groups``: lasers of a sensor, 0 for all."""
+
+    laser: Lasers
+    time: I64
+    groups: int
+
+    @property
+    def group(self) -> I64:
+        """The sensor ``(LASERS,)`` of each laser."""
+        return np.arange(LASERS) // self.groups if self.groups else np.zeros(LASERS, np.int64)
+
+
+@njit(cache=True)
+def _next(due, asked, floor):  # type: ignore[no-untyped-def]
+    """The laser that is due first of those that were not asked; the lower number first."""
+    best = -1
+    for k in range(len(due)):
+        if due[k] != _NEVER and asked[k] != floor and (best < 0 or due[k] < due[best]):
+            best = k
+    return best
+
+
+@njit(cache=True)
+def _skips(due, laser):  # type: ignore[no-untyped-def]
+    """Lasers that are due before a laser."""
+    skips = 0
+    for k in range(len(due)):
+        if due[k] < due[laser] or (due[k] == due[laser] and k < laser):
+            skips += 1
+    return skips
+
+
+@njit(cache=True)
+def _code(writing, laser, time, group, cycle, models, state, data):  # type: ignore[no-untyped-def]
+    """Write or read lasers and times ``(N,)``; ``cycle``: of each group."""
+    of_way, of_laser, of_seen, of_own, of_off = models
+    due = np.full(LASERS, _NEVER)
+    asked = np.full(LASERS, -1)  # the last point before which a laser was asked for and did not come
+    missed = np.zeros(LASERS, np.int64)  # of each laser, whether it did of the last times that it was due
+    steady = np.zeros(LASERS, np.int64)
+    skipped = np.empty(LASERS, np.int64)
+    now, odd, before, total = np.int64(0), np.int64(0), np.int64(0), 0
+    n = len(laser)
+    for i in range(n):
+        k = np.int64(laser[i])
+        way = np.int64(0)
+        if writing:
+            way = np.int64(
+                due[k] == _NEVER
+                or _skips(due, k) > _MOST_SKIPPED
+                or abs(time[i] - due[k]) > cycle[group[k]] // 2
+            )
+        way = code_bit(writing, state, data, of_way, odd, of_way, odd, way)
+        odd = (odd << 1 | way) & 255
+        if way == 1:
+            node = 1
+            for shift in range(7, -1, -1):
+                at = before * 256 + node
+                node = node << 1 | code_bit(
+                    writing, state, data, of_laser, at, of_laser, at, (k >> shift) & 1
+                )
+            k = np.int64(node & 255)
+            off = time[i] - now
+            if writing and abs(off) >= _LARGEST:
+                state[3] = 1
+                return
+            now += code_number(
+                writing, state, data, of_off, 2 * (_STEADY + 1), of_off, 2 * (_STEADY + 1), off
+            )
+            g = group[k]
+            for other in range(LASERS):  # those of its group that were due long ago
+                if due[other] != _NEVER and group[other] == g and due[other] < now - cycle[g] // 2:
+                    due[other] += (now - cycle[g] // 2 - due[other] + cycle[g] - 1) // cycle[g] * cycle[g]
+            steady[g] = 0
+        else:
+            found, n_skipped = -1, 0
+            while True:
+                found = _next(due, asked, i)
+                if found < 0 or total > 64 * (n + 64):
+                    state[3] = 1
+                    return
+                tied = 0 if due[found] != now else (1 if asked[found] == i - 1 else 2)
+                at = ((missed[found] & 7) * 3 + tied) * 2 + np.int64(n_skipped > 0)
+                own = found * 8 + (missed[found] & 1) * 4 + tied
+                if code_bit(writing, state, data, of_seen, at, of_own, own, np.int64(found != k)) == 0:
+                    break
+                asked[found] = i
+                skipped[n_skipped] = found
+                n_skipped += 1
+                total += 1
+            k = np.int64(found)
+            g = group[k]
+            told = np.int64(min(steady[g], np.int64(_STEADY)))
+            off = code_number(
+                writing, state, data, of_off, told, of_off, _STEADY + 1 + told, time[i] - due[k]
+            )
+            now = due[k] + off
+            for j in range(n_skipped):
+                other = skipped[j]
+                if due[other] < due[k]:
+                    due[other] += cycle[group[other]]
+                    missed[other] = missed[other] << 1 | 1
+            if off != 0:
+                for other in range(LASERS):
+                    if due[other] != _NEVER and group[other] == g:
+                        due[other] += off
+                steady[g] = 0
+            else:
+                steady[g] += 1
+        if not writing:
+            if state[3] != 0:
+                return
+            laser[i], time[i] = k, now
+        due[k] = now + cycle[g]
+        missed[k] = missed[k] << 1
+        asked[k] = -1
+        before = k
+
+
+def find_timelines(laser: Lasers, time: I64) -> list[tuple[Timeline, bytes]]:
+    """Return the timelines that points of lasers ``(N,)`` at times ``(N,)`` may have, with their streams, the shortest first; none where times say nothing of lasers."""
+    found = []
+    for size in _SIZES:
+        if size and laser.max(initial=0) < size:
+            continue
+        line = Timeline(laser, time, size)
+        coded = encode_timeline(line)
+        if coded is not None:
+            found.append((line, coded))
+    return sorted(found, key=lambda one: len(one[1]))
+
+
+def _cycles(line: Timeline) -> I64 | None:
+    """The most usual time from return to return of a laser, of each group; None where a laser has none."""
+    group = line.group[line.laser]
+    cycles = np.zeros(int(group.max()) + 1, np.int64)
+    for g in range(len(cycles)):
+        own = np.flatnonzero(group == g)
+        own = own[np.argsort(line.laser[own], kind="stable")]
+        steps = np.diff(line.time[own])[np.diff(line.laser[own].astype(np.int64)) == 0]
+        values, counts = np.unique(steps[steps > 0], return_counts=True)
+        if not len(values) or values[counts.argmax()] >= _LONGEST:
+            return None
+        cycles[g] = values[counts.argmax()]
+    return cycles
+
+
+def encode_timeline(line: Timeline) -> bytes | None:
+    """Encode lasers and times; None where times do not go round."""
+    cycles = _cycles(line) if len(line.laser) else None
+    if cycles is None:
+        return None
+    origin = int(line.time[0])
+    out = np.empty(32 * len(line.laser) + 4096, np.uint8)
+    state = start_encoder()
+    _code(True, line.laser, line.time - origin, line.group, cycles, _models(), state, out)
+    written = int(finish_encoder(state, out)) if state[3] == 0 else -1
+    head = _HEAD.pack(line.groups, len(cycles), origin) + cycles.astype("<u4").tobytes()
+    return head + out[:written].tobytes() if written >= 0 else None
+
+
+def decode_timeline(n: int, data: bytes) -> tuple[Timeline, bool]:
+    """Inverse of :func:`encode_timeline`: ``n`` points, and whether the data made sense."""
+    line = Timeline(np.zeros(n, np.uint8), np.zeros(n, np.int64), 0)
+    if len(data) < _HEAD.size:
+        return line, False
+    groups, n_cycles, origin = _HEAD.unpack_from(data)
+    line = Timeline(line.laser, line.time, groups)
+    begin = _HEAD.size + 4 * n_cycles
+    if groups not in _SIZES or len(data) < begin or n_cycles < 1:
+        return line, False
+    cycles = np.zeros(LASERS, np.int64) + 1
+    cycles[:n_cycles] = np.frombuffer(data, "<u4", n_cycles, _HEAD.size)
+    raw = np.frombuffer(bytearray(data[begin:]), np.uint8)
+    state = start_decoder(raw)
+    _code(False, line.laser, line.time, line.group, np.maximum(cycles, 1), _models(), state, raw)
+    line.time[:] += origin
+    return line, bool(state[3] == 0)
+
+
+def _models() -> tuple[NDArray[np.uint16], ...]:
+    return (
+        new_bits(256), new_bits(256 * 256), new_bits(8 * 3 * 2), new_bits(LASERS * 8),
+        new_bits((2 * _STEADY + 3) * PER_CONTEXT),
+    )  # fmt: skip
