@@ -52,12 +52,23 @@ def coder(
     epilog="Examples:  `salpcc-pipeline train segment --data DIR`  ·  `… --score small` (score what ships)"
 )
 def segment(
-    data: Annotated[Path, typer.Option(help="Labelled scans lie here, in SemanticKITTI's layout.")],
+    data: Annotated[
+        list[Path],
+        typer.Option(
+            help="Labelled scans lie here, in the layout of SemanticKITTI, KITTI's objects or its tracking; may be "
+            "repeated."
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="Weights, checkpoint and training.csv go here.")] = Path(
         "weights"
     ),
     width: Annotated[str, typer.Option(metavar="small|paper", help="The width of the network.")] = "small",
-    hold_out: Annotated[str, typer.Option(help="Score on these sequences, and never train on them.")] = "06",
+    hold_out: Annotated[
+        str,
+        typer.Option(
+            metavar="SEQ[/SCAN],…", help="Score on these sequences or scans, and never train on them."
+        ),
+    ] = "06",
     donors: Annotated[
         str,
         typer.Option(
@@ -68,6 +79,13 @@ def segment(
     steps: Annotated[int, typer.Option(min=1, help="Steps of the optimiser.")] = 5000,
     batch: Annotated[int, typer.Option(min=1, help="Crops in a step.")] = 8,
     rate: Annotated[float, typer.Option(help="The learning rate at its peak.")] = 2e-3,
+    start: Annotated[
+        str,
+        typer.Option(
+            metavar="WEIGHTS",
+            help="Go on from these weights, with phases of their own, rather than from none.",
+        ),
+    ] = "",
     seed: Annotated[int, typer.Option(help="The seed of weights and crops.")] = 0,
     every: Annotated[int, typer.Option(min=1, help="Steps between checkpoints and scores.")] = 250,
     workers: Annotated[int, typer.Option(min=0, help="Processes that make crops.")] = 1,
@@ -86,24 +104,28 @@ def segment(
     from salpcc.stages.segment.checkpoint import load_cached
     from salpcc.stages.segment.network import WIDTHS
     from salpcc.stages.segment.training.donors import simulated_donors
-    from salpcc.stages.segment.training.labelled import list_labelled
+    from salpcc.stages.segment.training.labelled import list_labelled, split_labelled
     from salpcc.stages.segment.training.loop import train_segment
-    from salpcc.stages.segment.training.recipe import Recipe
+    from salpcc.stages.segment.training.recipe import GOING_ON, PHASES, Recipe
     from salpcc.stages.segment.training.score import score_table
     from salpcc.stages.segment.weights_file import weights_path
 
-    check_data(data)
+    for root in data:
+        check_data(root)
     if width not in WIDTHS:
         raise UsageError(f"--width {width}: choose from {', '.join(WIDTHS)}")
     check_device(device)
-    names = expand_sequences(hold_out) if hold_out else []
-    held_out = list_labelled(data, names) if names else []
+    items = [item.strip() for item in hold_out.split(",") if item.strip()]
+    names = [name for item in items for name in ([item] if "/" in item else expand_sequences(item))]
+    refs, held_out = split_labelled(data, names)
     if score is not None:
         for line in score_table(load_cached(weights_path(score), device), held_out):
             typer.echo(line)
         return
-    recipe = Recipe(width, steps, batch, rate, seed=seed, workers=workers, every=every)
-    refs = list_labelled(data, leave_out=names)
+    phases = GOING_ON if start else PHASES
+    recipe = Recipe(
+        width, steps, batch, rate, seed=seed, workers=workers, every=every, phases=phases, start=start
+    )
     if donors == "simulated":
         given = simulated_donors(out / "donors", STDERR.print)
     else:

@@ -31,7 +31,9 @@ from salpcc.stages.segment.checkpoint import load_cached
 from salpcc.stages.segment.class_shares import as_in_streets
 from salpcc.stages.segment.confusion import UNLABELLED, confusion
 from salpcc.stages.segment.fused import FusedNetwork
-from salpcc.stages.segment.labelling import step_motions
+from salpcc.stages.segment.labelling import joined
+from salpcc.stages.segment.objects import judge_objects
+from salpcc.stages.segment.registration import steps_between
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
 from salpcc.stages.segment.several_scans import agree
 from salpcc.stages.segment.training.score import scores
@@ -60,13 +62,17 @@ def variants(
 ) -> Iterator[tuple[str, list[Segmentation]]]:
     """Yield the name of each variant and what it makes of the scans of a group."""
     project = Projector(load_sensor("hdl64e"))
-    motions = step_motions([project(number, scan) for number, scan in gop])
+    sweeps = [project(number, scan) for number, scan in gop]
     found = [class_scores(network, scan.points, scan.intensity) for _, scan in gop]
     yield "as trained, scan by scan", [by_group(*one) for one in found]
     weighed = [by_group(image, as_in_streets(scores)) for image, scores in found]
     yield "class shares taken back, scan by scan", weighed
-    yield "the same, several scans", agree(weighed, motions, free_space=False)
-    yield "the same, free space as well (default)", agree(weighed, motions)
+    steps = steps_between(weighed, joined(sweeps), [sweep.motion for sweep in sweeps])
+    yield "the same, several scans", agree(weighed, steps, free_space=False)
+    agreed = agree(weighed, steps)
+    yield "the same, free space as well", agreed
+    yield "class shares taken back, objects, scan by scan", judge_objects(weighed, [None] * len(steps))
+    yield "several scans, free space, objects (default)", judge_objects(agreed, steps)
 
 
 def study(

@@ -15,7 +15,7 @@ from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.segment.geometric import split_ground
 from salpcc.stages.segment.weights_file import weights_path
 
-_LONGEST_STEP = 250_000_000  # nanoseconds between scans that a turn's motion connects
+_LONGEST_STEP = 250_000_000  # nanoseconds between scans without a gap
 
 
 def label_gop(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -> list[Sweep]:
@@ -40,14 +40,19 @@ def label_gop(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -
 def _by_network(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -> list[Sweep]:
     # Imported here: a process that asks no network has no use for torch's hundred megabytes.
     from salpcc.stages.segment.checkpoint import load_cached
+    from salpcc.stages.segment.objects import judge_objects
+    from salpcc.stages.segment.registration import steps_between
     from salpcc.stages.segment.segmenter import segment_scan
     from salpcc.stages.segment.several_scans import agree
 
     network = load_cached(weights_path(config.weights), config.device)
     scans = (sweep_to_scan(sweep, sensor) for sweep in sweeps)
     found = [segment_scan(network, scan.points, scan.intensity) for scan in scans]
+    steps: list[NDArray[np.float64] | None] = [None] * len(found)
     if config.several_scans:
-        found = agree(found, step_motions(sweeps))
+        steps = steps_between(found, joined(sweeps), [sweep.motion for sweep in sweeps])
+        found = agree(found, steps)
+    found = judge_objects(found, steps)
     return [
         sweep if sweep.classes is not None else with_classes(sweep, sensor, one.labels())
         for sweep, one in zip(sweeps, found, strict=True)
@@ -60,10 +65,7 @@ def with_classes(sweep: Sweep, sensor: SensorModel, classes: NDArray[np.uint8]) 
     return replace(sweep, classes=classes[on], stray_classes=classes[off])
 
 
-def step_motions(sweeps: Sequence[Sweep]) -> list[NDArray[np.float64] | None]:
-    """Return per sweep the motion that carries the one before into it, None where it does not (gaps, raw scans)."""
-    motions: list[NDArray[np.float64] | None] = [None] * len(sweeps)
-    for k in range(1, len(sweeps)):
-        if 0 < sweeps[k].time - sweeps[k - 1].time < _LONGEST_STEP:
-            motions[k] = sweeps[k].motion
-    return motions
+def joined(sweeps: Sequence[Sweep]) -> list[bool]:
+    """Tell of each sweep whether it follows the one before it without a gap."""
+    times = [sweep.time for sweep in sweeps]
+    return [k > 0 and 0 < times[k] - times[k - 1] < _LONGEST_STEP for k in range(len(times))]

@@ -2,8 +2,7 @@
 
 A surface that the neighbours saw too is judged by all who saw it. A place that a neighbour looked
 through held nothing when it looked: what stands there now has moved (free space, as Removert and DUFOMap
-use it). Where scans lie comes from their own motion: the motion that a scan was compensated by carries
-the scan before into its frame, to some centimetres (measured against the poses of SemanticKITTI).
+use it). Where scans lie is found by registering each to the one before (:mod:`.registration`).
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from salpcc.schemas.labels import MOVABLE
+from salpcc.schemas.labels import GROUND, MOVABLE, OTHER
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.range_image import HEIGHT, RANGE, RangeImage, nearest_cone
 from salpcc.stages.segment.segmenter import Segmentation
@@ -27,6 +25,7 @@ F64 = NDArray[np.float64]
 REACH = 4  # scans to either side that are asked
 _SAME = 0.25  # metres between two views of one surface, plus 1 % of the range
 _THROUGH = 1.0  # metres that a neighbour must see past a place, plus 5 % of the range
+_SURE_GROUND, _SURE_OTHER = 0.95, 0.98  # what is so probable asks no neighbour: three quarters of the pixels
 _ABOVE = 0.3  # metres above the ground; free space says nothing of the ground itself
 _NEIGHBOUR_WEIGHT = 0.5  # of a neighbour's word; the scan's own counts 1
 _LOOKS = 3  # neighbours that must have seen through a place
@@ -35,22 +34,8 @@ _THROUGH_WEIGHT = (
 )
 
 
-def relative_poses(motions: Sequence[F64 | None]) -> list[F64 | None]:
-    """Return per scan the ``(4, 4)`` that carries the scan before it into its frame, None where unknown."""
-    poses: list[F64 | None] = []
-    for motion in motions:
-        if motion is None:
-            poses.append(None)
-            continue
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_rotvec(motion[3:]).as_matrix()
-        pose[:3, 3] = motion[:3]
-        poses.append(pose)
-    return poses
-
-
 def pose_between(steps: Sequence[F64 | None], start: int, end: int) -> F64 | None:
-    """Chain the steps of :func:`relative_poses`: the ``(4, 4)`` that carries scan ``start`` into scan ``end``."""
+    """Chain steps, each of which carries the scan before into one's frame: the ``(4, 4)`` that carries scan ``start`` into scan ``end``."""
     if end < start:
         back = pose_between(steps, end, start)
         return None if back is None else np.linalg.inv(back).astype(np.float64)
@@ -122,23 +107,24 @@ def _ask(
 
 
 def agree(
-    found: Sequence[Segmentation], motions: Sequence[F64 | None], free_space: bool = True
+    found: Sequence[Segmentation], steps: Sequence[F64 | None], free_space: bool = True
 ) -> list[Segmentation]:
     """Let the scans of a group settle what each pixel is.
 
     Args:
         found: what the network says of each scan, in order of time.
-        motions: ``(6,)`` of each scan, or None where it is not known (nothing is asked across it).
+        steps: per scan the ``(4, 4)`` that carries the scan before into its frame, or None where it is not known
+            (nothing is asked across it).
         free_space: whether what neighbours looked through counts.
     """
     sensor = load_sensor("hdl64e")
     tangent = np.tan(sensor.theta)
-    steps = relative_poses(motions)
     places = [_places(one.image) for one in found]
     said = [np.ascontiguousarray(one.groups.transpose(1, 2, 0)) for one in found]
     settled = []
     for here, own in enumerate(found):
-        seen = own.image.index >= 0
+        sure = (own.groups[GROUND] > _SURE_GROUND) | (own.groups[OTHER] > _SURE_OTHER)
+        seen = (own.image.index >= 0) & ~sure
         points = places[here][seen][:, :3].astype(np.float64)
         total = np.ones((len(points), len(own.groups) + 1), np.float32)
         total[:, :-1] = said[here][seen]

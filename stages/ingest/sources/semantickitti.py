@@ -73,6 +73,19 @@ def read_classes(ref: ScanRef, n_points: int) -> NDArray[np.uint8]:
     Raises:
         SourceError: no labels, not one per point, or an unknown label.
     """
+    labels = read_labels(ref, n_points)
+    try:
+        return classes_of_labels(labels)
+    except ValueError as error:
+        raise SourceError(f"{ref.labels}: {error}") from error
+
+
+def read_labels(ref: ScanRef, n_points: int) -> NDArray[np.uint32]:
+    """Read the ``.label`` file as it is: ``(N,)`` uint32, class below, instance in the upper 16 bits.
+
+    Raises:
+        SourceError: no labels, or not one per point.
+    """
     if ref.labels is None:
         raise SourceError(f"{ref.path}: no .label file beside it; use --labels network")
     path = location(ref.labels)
@@ -82,7 +95,4 @@ def read_classes(ref: ScanRef, n_points: int) -> NDArray[np.uint8]:
         raise SourceError(f"{path}: {why(error)}") from error
     if len(data) != 4 * n_points:
         raise SourceError(f"{path}: {len(data)} bytes for {n_points} points, expected 4 bytes a point")
-    try:
-        return classes_of_labels(np.frombuffer(data, "<u4").astype(np.uint32))
-    except ValueError as error:
-        raise SourceError(f"{path}: {error}") from error
+    return np.frombuffer(data, "<u4").astype(np.uint32)

@@ -1,4 +1,8 @@
-"""Labelled range images, read from disk as they are asked for, with a bounded memory of the last ones."""
+"""Labelled range images, read from disk as they are asked for, with a bounded memory of the last ones.
+
+Labels may be partial: what is 0 teaches nothing, and of what SemanticKITTI calls other-structure or other-object (52,
+99) no class is known but that it is not movable.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError
-from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
+from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE, classes_of_labels
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
+from salpcc.stages.ingest.sources.semantickitti import SemanticKitti, read_labels
 from salpcc.stages.segment.range_image import project
+from salpcc.stages.segment.training.kitti_boxes import HINT, labels_of_boxes, list_boxed
 
 F32 = NDArray[np.float32]
+
+NOT_MOVABLE = len(CLASSES)  # beside the classes: of whatever class that is not movable
+_NOT_MOVABLE_IDS = (52, 99)
+_MOVES = np.append(GROUP_OF_CLASS == MOVABLE, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +34,7 @@ class LabelledImage:
 
     Attributes:
         planes: ``(6, 64, W)`` float32, as in :class:`~salpcc.stages.segment.range_image.RangeImage`.
-        classes: ``(64, W)`` uint8, 0 where unlabelled or empty.
+        classes: ``(64, W)`` uint8, 0 where unlabelled or empty, NOT_MOVABLE where no more is known.
         instances: ``(64, W)`` uint32, the raw label (instance and class) of movable pixels, else 0.
     """
 
@@ -34,25 +43,61 @@ class LabelledImage:
     instances: NDArray[np.uint32]
 
 
-def list_labelled(
-    root: Path, sequences: Sequence[str] | None = None, leave_out: Sequence[str] = ()
-) -> list[ScanRef]:
-    """List the labelled scans of a SemanticKITTI-layout root.
+def list_labelled(root: Path) -> list[ScanRef]:
+    """List the labelled scans of a root in the layout of SemanticKITTI, of KITTI's objects or of its tracking.
 
     Raises:
-        SourceError: a sequence is missing, or nothing is labelled.
+        SourceError: nothing is labelled.
     """
     source = SemanticKitti()
-    chosen = [s for s in sequences or source.sequences(root) if s not in leave_out]
-    refs = [ref for sequence in chosen for ref in source.scans(root, sequence) if ref.labels is not None]
+    refs = [ref for sequence in source.sequences(root) for ref in source.scans(root, sequence)]
+    refs = [ref for ref in refs if ref.labels is not None] + list_boxed(root)
     if not refs:
-        raise SourceError(f"{root}: no labelled scans ({', '.join(chosen) or 'no sequences'}). {source.hint}")
+        raise SourceError(f"{root}: no labelled scans. {source.hint}; or {HINT}")
     return refs
 
 
+def split_labelled(roots: Sequence[Path], names: Sequence[str]) -> tuple[list[ScanRef], list[ScanRef]]:
+    """List the labelled scans of some roots: those to train on, and those held out, by sequence or ``SEQUENCE/SCAN``.
+
+    Raises:
+        SourceError: a root has no labelled scans, nothing has such a name, or nothing is left.
+    """
+    rest: list[ScanRef] = []
+    held: list[ScanRef] = []
+    unmet = set(names)
+    for ref in (ref for root in roots for ref in list_labelled(root)):
+        met = {sequence_of(ref), f"{sequence_of(ref)}/{ref.name}"} & set(names)
+        unmet -= met
+        (held if met else rest).append(ref)
+    where = ", ".join(map(str, roots))
+    if unmet:
+        raise SourceError(f"{where}: no labelled scans of {', '.join(sorted(unmet))} to hold out")
+    if not rest:
+        raise SourceError(f"{where}: no labelled scans but those held out")
+    return rest, held
+
+
 def sequence_of(ref: ScanRef) -> str:
-    """Name of the sequence that a scan in SemanticKITTI layout belongs to."""
-    return Path(ref.path).parent.parent.name
+    """Name of the sequence that a labelled scan belongs to; ``training`` of KITTI's objects."""
+    folder = Path(ref.path).parent
+    return folder.parent.name if folder.name == "velodyne" else folder.name
+
+
+def raw_labels(ref: ScanRef, points: F32) -> NDArray[np.uint32]:
+    """Return the label ``(N,)`` of each point ``(N, 3)`` as SemanticKITTI writes it, of a file or from boxes.
+
+    Raises:
+        SourceError: the file is unreadable, not one label a point, or not what the layout says.
+    """
+    if ref.labels is not None and ref.labels.endswith(".txt"):
+        return labels_of_boxes(ref, points)
+    return read_labels(ref, len(points))
+
+
+def not_movable(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Tell which raw labels ``(N,)`` say that a point is not movable, and no more."""
+    return np.isin(labels & 0xFFFF, _NOT_MOVABLE_IDS)
 
 
 def read_labelled(ref: ScanRef) -> LabelledImage:
@@ -61,16 +106,18 @@ def read_labelled(ref: ScanRef) -> LabelledImage:
     Raises:
         SourceError: as the source's ``read``.
     """
-    scan = SemanticKitti().read(ref, with_labels=True)
-    assert scan.classes is not None and ref.labels is not None
+    scan = SemanticKitti().read(ref, with_labels=False)
+    labels = raw_labels(ref, scan.points)
+    known = classes_of_labels(labels)
+    known[not_movable(labels)] = NOT_MOVABLE
     image = project(scan.points, scan.intensity)
     seen = image.index >= 0
     shown = image.index[seen]
     classes = np.zeros(image.index.shape, np.uint8)
-    classes[seen] = scan.classes[shown]
+    classes[seen] = known[shown]
     instances = np.zeros(image.index.shape, np.uint32)
-    instances[seen] = np.fromfile(ref.labels, "<u4")[shown]
-    instances[GROUP_OF_CLASS[classes] != MOVABLE] = 0
+    instances[seen] = labels[shown]
+    instances[~_MOVES[classes]] = 0
     return LabelledImage(image.planes, classes, instances)
 
 

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.segment.checkpoint import save_weights
+from salpcc.stages.segment.checkpoint import load_weights, save_weights
 from salpcc.stages.segment.class_shares import training_weights
 from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.network import WIDTHS, SegmentNetwork, for_cpu
@@ -24,6 +24,7 @@ from salpcc.stages.segment.training.losses import segmentation_loss
 from salpcc.stages.segment.training.recipe import Phase, Recipe
 from salpcc.stages.segment.training.samples import Batch, Samples, loader
 from salpcc.stages.segment.training.score import count_scans, scores
+from salpcc.stages.segment.weights_file import weights_path
 
 Log = Callable[[str], None]
 
@@ -41,6 +42,11 @@ class Trainer:
         self.device = device
         self.step = 0
         self.network = for_cpu(SegmentNetwork(WIDTHS[recipe.width])).to(device)
+        if recipe.start:
+            begun, _ = load_weights(weights_path(recipe.start))
+            if begun.config != self.network.config:
+                raise UsageError(f"--start {recipe.start}: weights of another width; asked is {recipe.width}")
+            self.network.load_state_dict(begun.state_dict())
         self.average = {k: v.detach().clone() for k, v in self.network.state_dict().items()}
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), recipe.rate, recipe.betas, weight_decay=recipe.decay

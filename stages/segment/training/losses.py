@@ -12,26 +12,34 @@ from torch.nn import functional
 
 from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS, MOVABLE
 from salpcc.stages.segment.network import N_CLASSES
+from salpcc.stages.segment.training.labelled import NOT_MOVABLE
 
-_GROUP_OF_OUTPUT = torch.tensor(GROUP_OF_CLASS[1 : N_CLASSES + 1].astype("int64"))
+_NOT = len(GROUPS)  # of a group that is not movable, whichever
+_GROUP_OF_TARGET = torch.full((NOT_MOVABLE,), _NOT)
+_GROUP_OF_TARGET[:N_CLASSES] = torch.tensor(GROUP_OF_CLASS[1 : N_CLASSES + 1].astype("int64"))
 
 
 def group_logits(logits: Tensor) -> Tensor:
     """Sum classes up to groups, in the log domain: ``(N, 19)`` to ``(N, 3)``."""
     members = [
-        torch.eq(_GROUP_OF_OUTPUT, group).nonzero().ravel().to(logits.device) for group in range(len(GROUPS))
+        torch.eq(_GROUP_OF_TARGET[:N_CLASSES], group).nonzero().ravel().to(logits.device)
+        for group in range(len(GROUPS))
     ]
     return torch.stack([torch.logsumexp(logits[:, member], 1) for member in members], 1)
 
 
 def lovasz(probabilities: Tensor, targets: Tensor) -> Tensor:
-    """Lovasz-softmax of ``(N, G)`` probabilities against ``(N,)`` targets, mean over the groups that occur."""
+    """Lovasz-softmax of ``(N, 3)`` probabilities against ``(N,)`` groups, mean over the groups that occur.
+
+    A target of 3 is known not to be movable; the other groups do not count it.
+    """
     losses = []
     for group in range(probabilities.shape[1]):
-        truth = (targets == group).float()
+        known = slice(None) if group == MOVABLE else targets != _NOT
+        truth = (targets[known] == group).float()
         if not truth.any():
             continue
-        errors, order = torch.sort((truth - probabilities[:, group]).abs(), descending=True)
+        errors, order = torch.sort((truth - probabilities[known, group]).abs(), descending=True)
         truth = truth[order]
         union = truth.sum() + torch.cumsum(1.0 - truth, 0)
         jaccard = 1.0 - (truth.sum() - torch.cumsum(truth, 0)) / union
@@ -43,9 +51,12 @@ def lovasz(probabilities: Tensor, targets: Tensor) -> Tensor:
 def segmentation_loss(logits: Tensor, targets: Tensor, class_weights: Tensor, movable: float = 1.0) -> Tensor:
     """Return the training loss.
 
+    Of a point whose class is not known, only that it is not movable, the loss is minus the logarithm of the summed
+    probability of all classes that are not.
+
     Args:
         logits: ``(B, 19, H, W)``.
-        targets: ``(B, H, W)`` int64, -1 where there is no label.
+        targets: ``(B, H, W)`` int64, -1 where there is no label, NOT_MOVABLE - 1 where no more is known.
         class_weights: ``(19,)``.
         movable: weight of the group movable, the others weigh 1.
     """
@@ -54,11 +65,16 @@ def segmentation_loss(logits: Tensor, targets: Tensor, class_weights: Tensor, mo
     truth = targets[labelled]
     if not len(truth):
         return logits.sum() * 0.0
-    by_class = functional.cross_entropy(rows, truth, weight=class_weights.to(rows.device))
-    groups = group_logits(rows)
-    truth_groups = _GROUP_OF_OUTPUT.to(truth.device)[truth]
-    weights = torch.ones(len(GROUPS), device=rows.device)
+    named = truth < N_CLASSES
+    by_class = rows.sum() * 0.0
+    if named.any():
+        by_class = functional.cross_entropy(rows[named], truth[named], weight=class_weights.to(rows.device))
+    groups = torch.log_softmax(group_logits(rows), 1)
+    others = [group for group in range(len(GROUPS)) if group != MOVABLE]
+    said = torch.cat([groups, torch.logsumexp(groups[:, others], 1, keepdim=True)], 1)
+    truth_groups = _GROUP_OF_TARGET.to(truth.device)[truth]
+    weights = torch.ones(len(GROUPS) + 1, device=rows.device)
     weights[MOVABLE] = movable
-    by_group = functional.cross_entropy(groups, truth_groups, weight=weights)
+    by_group = functional.nll_loss(said, truth_groups, weight=weights)
     thin = slice(None, None, 2)  # sorting every pixel costs more than it brings
-    return by_class + by_group + lovasz(torch.softmax(groups[thin], 1), truth_groups[thin])
+    return by_class + by_group + lovasz(torch.exp(groups[thin]), truth_groups[thin])

@@ -62,6 +62,8 @@ PHASES = (
     Phase(0.6, SampleConfig(512, 0.35, 0.7, 6, (0.5, 0.25, 0.15), turned=0.0, brightened=0.0), dropped=0.0),
     Phase(),
 )
+# Of weights that know streets already: streets as they are, with more of what is rare set into them.
+GOING_ON = (Phase(samples=SampleConfig(512, 0.3, 0.6, 5, (0.6, 0.25, 0.2), 0.3)),)
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ class Recipe:
         workers: processes that make crops.
         every: steps between checkpoints, scores and lines of the log.
         phases: what changes on the way, in order; the last one ends at 1.
+        start: weights to go on from, a name or a file; empty: none.
     """
 
     width: str = "small"
@@ -90,6 +93,7 @@ class Recipe:
     workers: int = 1
     every: int = 250
     phases: tuple[Phase, ...] = PHASES
+    start: str = ""
 
     def phase(self, step: int) -> Phase:
         """Return what holds at a step, counted from 0."""

@@ -28,7 +28,7 @@ _LEAST_RETURNS = 500
 
 @dataclass(eq=False)
 class Batch:
-    """Features, point sets and targets ``(B, 64, w)`` int64 (class - 1, or -1 where there is no label)."""
+    """Features, point sets and targets ``(B, 64, w)`` int64 (class or NOT_MOVABLE - 1, -1 where there is no label)."""
 
     features: Tensor
     sets: PointTensors
@@ -100,7 +100,9 @@ class Samples(IterableDataset[Batch]):
         if number not in self._banked:
             self._banked.add(number)
             self._own.add(image, rng)
-        crop = cut(image, int(rng.integers(COLUMNS)), self.config.width)
+        labelled = np.flatnonzero((image.classes > 0).any(axis=0))  # boxes cover only what a camera sees
+        within = int(rng.choice(labelled)) if len(labelled) else 0
+        crop = cut(image, within - int(rng.integers(self.config.width)), self.config.width)
         crop = mirror(crop, COLUMNS) if self.config.distorted and rng.random() < 0.5 else crop
         return replace(crop, planes=crop.planes.copy(), classes=crop.classes.copy())
 

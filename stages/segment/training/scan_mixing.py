@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS
-from salpcc.stages.segment.range_image import RANGE, Y, Z
+from salpcc.stages.segment.range_image import HEIGHT, RANGE, Y, Z
 from salpcc.stages.segment.training.crops import Crop, azimuth_step, rotate
-from salpcc.stages.segment.training.labelled import LabelledImage
+from salpcc.stages.segment.training.labelled import NOT_MOVABLE, LabelledImage
 
 F32 = NDArray[np.float32]
 
 _LEAST_PIXELS = 20
 _TERRAIN = next(i for i, c in enumerate(CLASSES) if c.name == "terrain")
-_STANDS_ON = (GROUP_OF_CLASS == GROUND) | (np.arange(len(CLASSES)) == _TERRAIN)
+_STANDS_ON = np.append((GROUP_OF_CLASS == GROUND) | (np.arange(len(CLASSES)) == _TERRAIN), False)
+_LOW = 0.2  # metres above the lowest returns around: ground where there is no label
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,9 @@ def paste(crop: Crop, instance: Instance, column: int, columns: int, flip: bool)
     classes = crop.classes[:, column : column + width]
     rows = np.flatnonzero(mask.any(axis=1))
     foot = slice(max(rows[-1] - 1, 0), rows[-1] + 3)
-    below = (target[RANGE, foot] > 0) & _STANDS_ON[classes[foot]]
+    unnamed = (classes[foot] == 0) | (classes[foot] == NOT_MOVABLE)
+    stands = _STANDS_ON[classes[foot]] | (unnamed & (target[HEIGHT, foot] < _LOW))
+    below = (target[RANGE, foot] > 0) & stands
     if below.mean() < 0.5:
         return False
     standing = planes[RANGE][rows[-1]][mask[rows[-1]]].mean()

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, GROUPS, MOVABLE
+from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS, GROUPS, MOVABLE, classes_of_labels
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.segment.confusion import UNLABELLED, confusion, intersection_over_union, mean_iou
 from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.segmenter import label_points
-from salpcc.stages.segment.training.labelled import sequence_of
+from salpcc.stages.segment.training.labelled import not_movable, raw_labels, sequence_of
 
 TERRAIN = next(i for i, c in enumerate(CLASSES) if c.name == "terrain")
 # Table I: vehicles, people and ground; the paper averages these twelve.
@@ -21,15 +21,27 @@ TWELVE = tuple(i for i, c in enumerate(CLASSES) if c.group and c.ids)
 
 
 def count_scans(network: FusedNetwork, refs: Iterable[ScanRef]) -> NDArray[np.int64]:
-    """Return the confusion matrix ``(21, 21)`` of all points of the scans, truth by row."""
+    """Return the confusion matrix ``(21, 21)`` of all points of the scans, truth by row.
+
+    Points of scans with boxes that are known not to be movable, and no more, are in row 0.
+    """
     counts = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
     for ref in refs:
-        scan = SemanticKitti().read(ref, with_labels=True)
-        assert scan.classes is not None
-        found = label_points(network, scan.points, scan.intensity)
-        known = scan.classes != UNLABELLED
-        counts += confusion(scan.classes[known], found[known], len(CLASSES))
+        scan = SemanticKitti().read(ref, with_labels=False)
+        counts += count(raw_labels(ref, scan.points), label_points(network, scan.points, scan.intensity))
     return counts
+
+
+def count(labels: NDArray[np.uint32], found: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Count ``(21, 21)`` classes found ``(N,)`` against raw labels ``(N,)``, truth by row.
+
+    What SemanticKITTI has no class for counts only where nothing but boxes is labelled, in row 0.
+    """
+    truth = classes_of_labels(labels)
+    known = truth != UNLABELLED
+    if not (GROUP_OF_CLASS[truth] == GROUND).any():
+        known |= not_movable(labels)
+    return confusion(truth[known], found[known], len(CLASSES))
 
 
 def group_scores(counts: NDArray[np.int64], with_terrain: bool) -> dict[str, float]:
@@ -37,9 +49,16 @@ def group_scores(counts: NDArray[np.int64], with_terrain: bool) -> dict[str, flo
     rows = counts.copy()
     if not with_terrain:
         rows[TERRAIN] = 0
+    found = dict(intersection_over_union(_by_group(rows), GROUPS))
+    rows[UNLABELLED] = 0  # tells movable from not, not what else
+    named = dict(intersection_over_union(_by_group(rows), GROUPS))
+    return {name: (found if name == GROUPS[MOVABLE] else named)[name] for name in named}
+
+
+def _by_group(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     by_group = np.zeros((len(GROUPS), len(GROUPS)), np.int64)
     np.add.at(by_group, (GROUP_OF_CLASS[:, None], GROUP_OF_CLASS[None, :]), rows)
-    return dict(intersection_over_union(by_group, GROUPS))
+    return by_group
 
 
 def scores(counts: NDArray[np.int64]) -> dict[str, float]:

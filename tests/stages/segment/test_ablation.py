@@ -25,7 +25,7 @@ def test_the_last_variant_is_what_a_run_does(tmp_path: Path, sensor) -> None:
     ablation.main(["--root", str(tmp_path), "--out", str(tmp_path / "out"), "00=small"])
     report.build(tmp_path / "out")
     rows = pq.read_table(tmp_path / "out" / "report" / "tables" / "ablation1.parquet").to_pylist()
-    assert len(rows) == 4 and {row["sequence"] for row in rows} == {"00"}
+    assert len(rows) == 6 and {row["sequence"] for row in rows} == {"00"}
     assert (
         rows[0]["movable"] != rows[1]["movable"] or rows[0]["movable, recall"] != rows[1]["movable, recall"]
     )

@@ -13,7 +13,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import KEPT, list_array, sweeps_to_table, table_to_sweeps
 from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.segment import stage
-from salpcc.stages.segment.labelling import label_gop, step_motions
+from salpcc.stages.segment.labelling import joined, label_gop
 
 
 def _odd_scans() -> list[Scan]:
@@ -80,8 +80,7 @@ def test_keeping_everything_needs_no_network() -> None:
 
 
 @pytest.mark.parametrize(("seconds", "known"), [(0.1, True), (0.0, False), (0.9, False), (-0.1, False)])
-def test_motion_carries_across_one_turn_only(make_scan, sensor, seconds: float, known: bool) -> None:
+def test_scans_follow_across_one_turn_only(make_scan, sensor, seconds: float, known: bool) -> None:
     first = scan_to_sweep(make_scan(), sensor)
     second = replace(first, time=first.time + round(seconds * 1e9))
-    motions = step_motions([first, second])
-    assert motions[0] is None and (motions[1] is not None) == known
+    assert joined([first, second]) == [False, known]

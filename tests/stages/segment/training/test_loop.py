@@ -17,7 +17,7 @@ from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.network import NetworkConfig
 from salpcc.stages.segment.segmenter import label_points
 from salpcc.stages.segment.training.donors import simulated_donors
-from salpcc.stages.segment.training.labelled import LabelledScans, list_labelled
+from salpcc.stages.segment.training.labelled import NOT_MOVABLE, LabelledScans, list_labelled, split_labelled
 from salpcc.stages.segment.training.loop import Trainer, train_segment
 from salpcc.stages.segment.training.recipe import PHASES, Phase, Recipe, SampleConfig
 from salpcc.stages.segment.training.samples import Batch, InstanceBank, Samples
@@ -44,7 +44,7 @@ def street(tmp_path_factory, sensor) -> Path:
 
 
 def test_training_learns_and_leaves_weights(street: Path, tmp_path: Path) -> None:
-    refs, held_out = list_labelled(street, leave_out=["01"]), list_labelled(street, ["01"])
+    refs, held_out = split_labelled([street], ["01"])
     lines: list[str] = []
     path = train_segment(refs, held_out, tmp_path, RECIPE, donors=held_out, log=lines.append)
     log = (tmp_path / "training.csv").read_text().splitlines()
@@ -84,15 +84,17 @@ def test_crops_follow_the_seed(street: Path) -> None:
     samples = [Samples(list_labelled(street), TINY, 2, 7, SAMPLES) for _ in range(2)]
     first, second = (next(iter(one)) for one in samples)
     assert torch.equal(first.features, second.features) and torch.equal(first.targets, second.targets)
-    assert first.targets.min() >= -1 and first.targets.max() < 19
+    assert first.targets.min() >= -1 and first.targets.max() < NOT_MOVABLE
 
 
 def test_scans_are_read_as_they_are_needed(street: Path, toy_root: Path) -> None:
     scans = LabelledScans(list_labelled(street), memory=1)
     assert scans[0] is scans[0] and scans[1] is scans[1] and scans[0] is not scans[1]
     assert (scans[0].instances > 0).any() and not scans[0].instances[scans[0].classes == 9].any()
-    with pytest.raises(SourceError, match="no labelled scans"):
-        list_labelled(toy_root, leave_out=["00", "01"])
+    with pytest.raises(SourceError, match="no labelled scans but those held out"):
+        split_labelled([toy_root], ["00", "01"])
+    with pytest.raises(SourceError, match="no labelled scans of 09/000007 to hold out"):
+        split_labelled([toy_root], ["01", "09/000007"])
 
 
 def test_one_command_walks_through_the_phases_and_goes_on_where_it_stopped(
