@@ -6,16 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.kitti_files import label_bytes, scan_bytes, times_bytes
 from salpcc.pipeline.tell import Tell, in_silence
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
-from salpcc.schemas.labels import labels_of_classes
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.point_cloud import point_rows
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
-from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes
-
-_LAST_FRAME = 10_000_000  # larger numbers in names are times, not frames
 
 
 def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_silence) -> Iterator[Path]:
@@ -28,17 +24,17 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         UsageError: other labels are there, that these must not replace.
     """
     folder = out / "sequences" / archive.sequence
-    wide = archive.config.get("columns", 4) > 4  # then a scan's rows are those of its cloud
+    columns = archive.config.get("columns", 4)
     times: dict[str, int] = {}
     behind: set[str] = set()
     for scan in scans:
-        if scan.cloud is not None and not wide:
+        if scan.cloud is not None and columns == 4:
             behind |= {field.name for field in scan.cloud.layout.fields} - {"x", "y", "z", "intensity"}
         path = folder / "velodyne" / f"{scan.name}.bin"
         with atomic(path) as stream:
-            stream.write(point_rows(scan).tobytes() if wide else points_to_bytes(scan.points, scan.intensity))
-        if scan.classes is not None:
-            _write_labels(folder / "labels" / f"{scan.name}.label", scan)
+            stream.write(scan_bytes(scan, columns))
+        if (labels := label_bytes(scan)) is not None:
+            _write_labels(folder / "labels" / f"{scan.name}.label", labels)
         times[scan.name] = scan.time
         yield path
     if times:
@@ -49,9 +45,7 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         )
 
 
-def _write_labels(path: Path, scan: Scan) -> None:
-    assert scan.classes is not None
-    labels = labels_of_classes(scan.classes).astype("<u4").tobytes()
+def _write_labels(path: Path, labels: bytes) -> None:
     if path.is_file() and path.read_bytes() != labels:
         raise UsageError(f"{path}: other labels are there; name an empty folder with --out")
     with atomic(path) as stream:
@@ -59,20 +53,10 @@ def _write_labels(path: Path, scan: Scan) -> None:
 
 
 def _write_times(path: Path, times: dict[str, int], tell: Tell) -> None:
-    """Write seconds, one a line: by frame number where names are numbers, blank where none is known; else in their order.
-
-    Lines of other frames that are there already stay.
-    """
-    seconds = {name: f"{time // 10**9}.{time % 10**9:09d}" for name, time in times.items()}
-    if not all(name.isascii() and name.isdigit() for name in times):
-        lines = [seconds[name] for name in sorted(seconds)]
-    elif max(map(int, times)) > _LAST_FRAME:
+    """Write the times; lines of other frames that are there already stay."""
+    text = times_bytes(times, frame_lines(path) if path.is_file() else [])
+    if text is None:
         tell("times.txt is left out: the names of these scans are no frame numbers")
         return
-    else:
-        lines = frame_lines(path) if path.is_file() else []
-        lines += [""] * (max(map(int, times)) + 1 - len(lines))
-        for name, text in seconds.items():
-            lines[int(name)] = text
     with atomic(path) as stream:
-        stream.write(("\n".join(lines) + "\n").encode())
+        stream.write(text)

@@ -1,10 +1,10 @@
-"""``find``, ``cut``, ``merge``: what one takes from archives, and puts together."""
+"""``find``, ``cut``, ``merge``, ``mount``: what one takes from archives, and puts together."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -12,10 +12,13 @@ from salpcc.pipeline.cli.archives import Json, Path_
 from salpcc.pipeline.cli.run_sequences import parse_frames
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from salpcc.pipeline.archive import Layers
 
 New = Annotated[
     Path,
@@ -36,6 +39,7 @@ def register(app: typer.Typer) -> None:
         "`salpcc-pipeline cut out/archives/drive.mcap --time 60:90.5 --topic /front/points --out part.mcap`"
     )(cut)
     app.command(epilog="Example:  `salpcc-pipeline merge first.mcap second.mcap --out whole.mcap`")(merge)
+    app.command(epilog="Example:  `salpcc-pipeline mount out/archives /mnt/scans`")(mount)
 
 
 def find(
@@ -151,3 +155,21 @@ def merge(
     from salpcc.pipeline.merge import merge as merge_archives
 
     typer.echo(f"{merge_archives(archives, out).told}: {out}")
+
+
+def mount(
+    archives: Annotated[
+        Path,
+        typer.Argument(parser=location, metavar="ARCHIVE|DIR", help="An archive, or a folder of archives."),
+    ],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="An empty folder in which files appear.")],
+    layers: Annotated[
+        str, typer.Option(metavar="LAYERS", help="Which layers: all, static, or movable.")
+    ] = "all",
+) -> None:
+    """Show archives as the files of SemanticKITTI, decoded when they are read, until Ctrl-C or umount."""
+    require("files", "mount")
+    from salpcc.pipeline.mount import mount as mount_archives
+
+    STDERR.print(f"{archives} is {folder} until Ctrl-C or `umount {folder}`", soft_wrap=True, markup=False)
+    mount_archives(archives, folder, cast("Layers", layers))
