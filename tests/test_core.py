@@ -23,7 +23,7 @@ from salpcc.schemas.extras import EXTRAS
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 HEAVY = {
-    "bokeh", "brotli", "dask", "distributed", "fsspec", "jinja2", "laspy", "matplotlib", "open3d", "plyfile",
+    "bokeh", "brotli", "dask", "distributed", "fsspec", "jinja2", "laspy", "matplotlib", "mfusepy", "open3d", "plyfile",
     "pyproj", "safetensors", "scipy", "small_gicp", "torch",
 }  # fmt: skip
 MOST_PACKAGES = 25
@@ -142,6 +142,7 @@ def test_the_wheel_alone_reads_verifies_and_writes(bare: Path, tmp_path: Path) -
         ("localise ARCHIVE --against . --out new", "map"),
         ("decode ARCHIVE --to laz --out new", "map"),
         ("decode ARCHIVE --to ply --out new", "map"),
+        ("mount ARCHIVE new", "files"),
         ("inspect s3://bucket/00.mcap", "s3"),
         ("verify PAPER", "paper"),
         ("train segment --data .", "segment"),
