@@ -11,6 +11,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,27 +22,30 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SalpccError, UsageError
-from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE
+from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE, classes_of_labels
 from salpcc.schemas.manifest import expand_sequences
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.measures.grid_frames import read_gops
 from salpcc.stages.evaluate.report.record import record
 from salpcc.stages.evaluate.report.schema import ABLATIONS
+from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.checkpoint import load_cached
 from salpcc.stages.segment.class_shares import as_in_streets
-from salpcc.stages.segment.confusion import UNLABELLED, confusion
+from salpcc.stages.segment.confusion import UNLABELLED
 from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.labelling import joined
 from salpcc.stages.segment.objects import judge_objects
 from salpcc.stages.segment.registration import steps_between
+from salpcc.stages.segment.reliability import BINS, calibration_error, reliability
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
 from salpcc.stages.segment.several_scans import agree
-from salpcc.stages.segment.training.score import scores
+from salpcc.stages.segment.training.labelled import not_movable, raw_labels, split_labelled
+from salpcc.stages.segment.training.score import count, scores
 from salpcc.stages.segment.weights_file import weights_path
 
 STUDY = "Segmentation: what follows the network"
+CALIBRATION = "Segmentation: how many of the pixels said to be movable are"
 MEASURES = {
     "movable": "movable",
     "ground": "ground",
@@ -52,9 +58,47 @@ MEASURES = {
     "miou_12": "mIoU, the paper's classes",
 }
 # Of the points of these classes, the share that is called movable, as whatever vehicle.
-FOUND = {"cars found": ("car",), "trucks, buses and the like found": ("truck", "other-vehicle")}
-Counts = dict[str, NDArray[np.int64]]
-_NONE = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
+FOUND = {
+    "cars found": ("car",),
+    "trucks, buses and the like found": ("truck", "other-vehicle"),
+    "people found": ("person",),
+    "two-wheelers found": ("bicycle", "motorcycle", "bicyclist", "motorcyclist"),
+}
+_GOP = 8
+
+
+@dataclass
+class Sums:
+    """Of one variant: classes ``(21, 21)`` by truth and finding, and :func:`reliability` ``(10, 3)``."""
+
+    classes: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros((len(CLASSES), len(CLASSES)), np.int64)
+    )
+    said: NDArray[np.float64] = field(default_factory=lambda: np.zeros((BINS, 3)))
+
+    def add(self, found: Segmentation, labels: NDArray[np.uint32]) -> None:
+        """Count what is found in a scan against its raw labels ``(N,)``."""
+        self.classes += count(labels, found.labels())
+        truth = classes_of_labels(labels)
+        movable = GROUP_OF_CLASS[truth] == MOVABLE
+        self.said += reliability(found, (truth != UNLABELLED) | not_movable(labels), movable)
+
+
+def groups(root: Path, sequence: str) -> Iterator[list[tuple[int, Scan, NDArray[np.uint32]]]]:
+    """Read a labelled sequence in groups of consecutive scans: frame number, scan and raw labels of each.
+
+    Raises:
+        SourceError: the sequence is not there, or has no labels.
+    """
+    group: list[tuple[int, Scan, NDArray[np.uint32]]] = []
+    for ref in split_labelled([root], [sequence])[1]:
+        if group and (len(group) == _GOP or ref.number != group[-1][0] + 1):
+            yield group
+            group = []
+        scan = SemanticKitti().read(ref, with_labels=False)
+        group.append((ref.number, scan, raw_labels(ref, scan.points)))
+    if group:
+        yield group
 
 
 def variants(
@@ -80,46 +124,44 @@ def study(
 ) -> list[dict[str, Any]]:
     """Return ABLATIONS rows of some sequences, each labelled by the weights beside it, and of all together."""
     rows: list[dict[str, Any]] = []
-    every: Counts = {}
+    every: dict[str, Sums] = {}
     for names, weights in folds:
         network = load_cached(weights)
         for sequence in expand_sequences(names):
-            counts: Counts = {}
-            for gop in read_gops(root, sequence):
-                for variant, found in variants(network, gop):
-                    for one, (_, scan) in zip(found, gop, strict=True):
-                        some = _counts(one, scan)
-                        counts[variant] = counts.get(variant, _NONE) + some
-                        every[variant] = every.get(variant, _NONE) + some
-            rows += _rows(sequence, counts)
+            sums: dict[str, Sums] = {}
+            for group in groups(root, sequence):
+                for variant, found in variants(network, [(number, scan) for number, scan, _ in group]):
+                    for one, (_, _, labels) in zip(found, group, strict=True):
+                        for total in (sums, every):
+                            total.setdefault(variant, Sums()).add(one, labels)
+            rows += _rows(sequence, sums)
             log(f"{sequence}: done")
     return rows if len({row["sequence"] for row in rows}) == 1 else rows + _rows("all", every)
 
 
-def _counts(found: Segmentation, scan: Scan) -> NDArray[np.int64]:
-    assert scan.classes is not None
-    known = scan.classes != UNLABELLED
-    return confusion(scan.classes[known], found.labels()[known], len(CLASSES))
-
-
-def _rows(sequence: str, counts: Counts) -> list[dict[str, Any]]:
+def _rows(sequence: str, sums: dict[str, Sums]) -> list[dict[str, Any]]:
     rows = []
-    for variant, count in counts.items():
-        found = scores(count)
-        values = {name: found[key] for key, name in MEASURES.items()} | _found(count)
+    for variant, one in sums.items():
+        found = scores(one.classes)
+        values = {name: found[key] for key, name in MEASURES.items()} | _found(one.classes)
+        said = {"calibration error": calibration_error(one.said)} | {
+            f"of {k / BINS:.1f} to {(k + 1) / BINS:.1f}": true / pixels if pixels else float("nan")
+            for k, (_, true, pixels) in enumerate(one.said)
+        }
         rows += [
-            {"study": STUDY, "sequence": sequence, "variant": variant, "measure": name, "value": value}
-            for name, value in values.items()
+            {"study": study, "sequence": sequence, "variant": variant, "measure": name, "value": value}
+            for study, measures in ((STUDY, values), (CALIBRATION, said))
+            for name, value in measures.items()
         ]
     return rows
 
 
-def _found(count: NDArray[np.int64]) -> dict[str, float]:
-    by_group = count[:, GROUP_OF_CLASS == MOVABLE].sum(axis=1)
+def _found(counts: NDArray[np.int64]) -> dict[str, float]:
+    by_group = counts[:, GROUP_OF_CLASS == MOVABLE].sum(axis=1)
     shares = {}
     for name, classes in FOUND.items():
         rows = [i for i, c in enumerate(CLASSES) if c.name in classes]
-        points = count[rows].sum()
+        points = counts[rows].sum()
         shares[name] = float(by_group[rows].sum() / points) if points else float("nan")
     return shares
 
@@ -143,10 +185,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except SalpccError as error:
         parser.error(str(error))
     record(options.out, ablations=pa.Table.from_pylist(rows, schema=ABLATIONS))
-    for start in range(0, len(rows), len(MEASURES) + len(FOUND)):
-        part = rows[start : start + len(MEASURES) + len(FOUND)]
-        values = "  ".join(f"{row['value']:.3f}" for row in part)
-        print(f"{part[0]['sequence']:4} {part[0]['variant']:40} {values}")
+    for (sequence, variant, _), part in groupby(rows, itemgetter("sequence", "variant", "study")):
+        print(f"{sequence:4} {variant:40} " + "  ".join(f"{row['value']:.3f}" for row in part))
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ def split_labelled(roots: Sequence[Path], names: Sequence[str]) -> tuple[list[Sc
     """List the labelled scans of some roots: those to train on, and those held out, by sequence or ``SEQUENCE/SCAN``.
 
     Raises:
-        SourceError: a root has no labelled scans, nothing has such a name, or nothing is left.
+        SourceError: a root has no labelled scans, or nothing has such a name.
     """
     rest: list[ScanRef] = []
     held: list[ScanRef] = []
@@ -72,9 +72,7 @@ def split_labelled(roots: Sequence[Path], names: Sequence[str]) -> tuple[list[Sc
         (held if met else rest).append(ref)
     where = ", ".join(map(str, roots))
     if unmet:
-        raise SourceError(f"{where}: no labelled scans of {', '.join(sorted(unmet))} to hold out")
-    if not rest:
-        raise SourceError(f"{where}: no labelled scans but those held out")
+        raise SourceError(f"{where}: no labelled scans of {', '.join(sorted(unmet))}")
     return rest, held
 
 

@@ -144,7 +144,12 @@ def train_segment(
 
     ``OUT/training.csv`` has the loss and, where scans are held out, their scores; ``OUT/checkpoint.safetensors``
     is what ``resume`` goes on from.
+
+    Raises:
+        UsageError: nothing to train on, or nothing to go on from.
     """
+    if not refs:
+        raise UsageError("no labelled scans are left to train on; hold out fewer, or give more --data")
     out.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(recipe, refs, device)
     checkpoint = out / "checkpoint.safetensors"

@@ -30,6 +30,11 @@ def test_the_last_variant_is_what_a_run_does(tmp_path: Path, sensor) -> None:
         rows[0]["movable"] != rows[1]["movable"] or rows[0]["movable, recall"] != rows[1]["movable, recall"]
     )
 
+    said = pq.read_table(tmp_path / "out" / "report" / "tables" / "ablation2.parquet").to_pylist()
+    assert len(said) == 6
+    for row in said:
+        assert 0 <= row["calibration error"] < 0.2 and row["of 0.9 to 1.0"] > row["of 0.0 to 0.1"]
+
     (gop,) = read_gops(tmp_path, "00")
     project = Projector(sensor)
     unlabelled = [project(number, replace(scan, classes=None)) for number, scan in gop]

@@ -91,10 +91,12 @@ def test_scans_are_read_as_they_are_needed(street: Path, toy_root: Path) -> None
     scans = LabelledScans(list_labelled(street), memory=1)
     assert scans[0] is scans[0] and scans[1] is scans[1] and scans[0] is not scans[1]
     assert (scans[0].instances > 0).any() and not scans[0].instances[scans[0].classes == 9].any()
-    with pytest.raises(SourceError, match="no labelled scans but those held out"):
-        split_labelled([toy_root], ["00", "01"])
-    with pytest.raises(SourceError, match="no labelled scans of 09/000007 to hold out"):
-        split_labelled([toy_root], ["01", "09/000007"])
+    with pytest.raises(SourceError, match="no labelled scans of 09/000007"):
+        split_labelled([street], ["01", "09/000007"])
+    rest, held_out = split_labelled([street], ["00", "01/000000"])
+    assert len(held_out) == 2
+    with pytest.raises(UsageError, match="no labelled scans are left"):
+        train_segment(rest, held_out, toy_root, RECIPE)
 
 
 def test_one_command_walks_through_the_phases_and_goes_on_where_it_stopped(
