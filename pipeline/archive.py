@@ -32,7 +32,7 @@ from salpcc.stages.residual_code.archive.format import ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.salvage import Salvage
 from salpcc.stages.residual_code.gop import decode_any, layered_scan, scan_of
-from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 
 Layers = Literal["all", "static", "movable"]
@@ -94,14 +94,14 @@ def decoded_scans(
     Raises:
         ArchiveError: the next payload is damaged, or lacks its movable layer.
     """
-    models = GopModels(sensor)
+    state = GopState(sensor)
     sweeps = decode_any((payload.data for payload in payloads), sensor)
     for payload, sweep in zip(payloads, sweeps, strict=False):
         if layered:
             if payload.movable is None:
                 raise ArchiveError("its movable layer is gone; --layers static gives what is left")
             assert isinstance(sweep, Sweep)
-            moving = decode_scan(payload.movable.data, sensor, models, sweep)
+            moving = decode_scan(payload.movable.data, sensor, state, sweep)
             scan = layered_scan(sweep, moving, sensor, alone)
         else:
             scan = scan_of(sweep, sensor)

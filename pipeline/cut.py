@@ -21,9 +21,10 @@ from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_any, encode_gop, encode_movable
-from salpcc.stages.residual_code.sensor.gop_models import GopModels
-from salpcc.stages.residual_code.sensor.payload import Payload, unpack
+from salpcc.stages.residual_code.sensor.gop_state import GopState
+from salpcc.stages.residual_code.sensor.payload import unpack
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
+from salpcc.stages.residual_code.stream import Payload
 
 
 @dataclass
@@ -154,9 +155,9 @@ def _coded_anew(reader: ArchiveReader, payloads: list[ScanPayload], places: list
         sweeps.append(sweep)
     if len(sweeps) != len(payloads):
         raise ArchiveError(f"{reader.path}: scan {payloads[len(sweeps)].entry.name} does not decode")
-    models = GopModels(sensor)
+    state = GopState(sensor)
     pairs = [  # scans without their movable layer are behind those that have it
-        (sweep, decode_scan(payload.movable.data, sensor, models, sweep))
+        (sweep, decode_scan(payload.movable.data, sensor, state, sweep))
         for payload, sweep in zip(payloads, sweeps, strict=True)
         if payload.movable is not None
     ]

@@ -28,7 +28,7 @@ from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_gop, encode_movable
-from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 from salpcc.stages.segment.task import keep
 
@@ -171,11 +171,11 @@ def _coded_anew(
 ) -> list[ScanPayload]:
     """Code the movable layers of a GOP again without what goes of the scans that are concerned."""
     sensor = reader.facts.sensor
-    models = GopModels(sensor)
+    state = GopState(sensor)
     pairs: list[tuple[Sweep, Sweep]] = []
     statics = decode_gop((payload.data for payload in payloads), sensor)
     for layer, static, some in zip(layers, statics, concerned, strict=False):
-        movable = decode_scan(layer.data, sensor, models, static)
+        movable = decode_scan(layer.data, sensor, state, static)
         pairs.append((static, _without(static, movable, sensor, selection) if some else movable))
     effort = str(reader.facts.config.get("effort", "default"))
     coded = []

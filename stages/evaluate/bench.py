@@ -2,7 +2,7 @@
 
 Codecs take turns (A B A B …), so that a machine that slows down slows all of them, and CPU time is counted.
 Ours codes a group of consecutive scans, as a run does; the others know single scans only. A first round
-warms everything up and is thrown away.
+warms everything up and is thrown away. ``--profile-stages`` shows where the time of ours goes, file by file.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
@@ -24,14 +25,16 @@ from salpcc.schemas.errors import SalpccError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.baseline import FLOAT32_SLACK, Baseline
-from salpcc.stages.evaluate.baselines.ours import Coded, decode_group, encode_group
+from salpcc.stages.evaluate.baselines.ours import Coded, decode_group, encode_group, encode_static_layer
 from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits
+from salpcc.stages.evaluate.profile import profile
 from salpcc.stages.evaluate.report.machine import describe_machine
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.simulated import Simulated
 
 RIVALS = ("draco", "draco_sequential", "laszip")
 REFERENCE = "draco"
+_GROUPS = 4  # decoded at once
 
 
 @dataclass
@@ -60,6 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--errors", default="0,0.001,0.01", help="asked errors in metres; 0 is bit-exact")
     parser.add_argument("--efforts", default="fast,default", help="ours, of " + ", ".join(get_args(Effort)))
+    parser.add_argument("--profile-stages", action="store_true", help="show which files the time goes to")
     parser.add_argument("--json", type=Path, help="write the figures there, too")
     asked = parser.parse_args(arguments)
     errors = [float(value) for value in asked.errors.split(",")]
@@ -67,18 +71,57 @@ def main(arguments: Sequence[str] | None = None) -> int:
         scans = _scans(asked.root, asked.sequence, asked.scans)
         failed = False
         rows: list[dict[str, Any]] = []
+        efforts = [effort for effort in get_args(Effort) if effort in asked.efforts.split(",")]
         for error in errors:
-            runners = list(_runners(scans, error, asked.efforts.split(",")))
+            runners = list(_runners(scans, error, efforts))
             race(runners, scans, asked.rounds)
             print(table(runners, scans), end="\n\n", flush=True)
             rows += [_row(runner, scans) for runner in runners]
             failed |= any(runner.keeps_order and runner.worst > runner.bound for runner in runners)
+        for effort in efforts:
+            data = [coded.data for coded in encode_group(scans, errors[0], effort)]
+            gain = threads_gain(data, asked.rounds)
+            print(
+                f"salpcc {effort}: {_GROUPS} groups decode {gain:.2f} times as fast on two threads as on one"
+            )
+            if asked.profile_stages:
+                print(_profile(scans, errors[0], effort))
     except SalpccError as error_:
         print(f"bench: {error_}", file=sys.stderr)
         return 1
     if asked.json is not None:
         asked.json.write_text(json.dumps(_document(arguments, scans, asked.rounds, rows), indent=1) + "\n")
     return int(failed)
+
+
+def threads_gain(data: list[bytes], rounds: int) -> float:
+    """How many times as fast groups are decoded on two threads as on one, wall time, median of rounds in turns."""
+
+    def seconds(threads: int) -> float:
+        start = time.perf_counter()
+        with ThreadPoolExecutor(threads) as pool:
+            for _ in pool.map(lambda _: list(decode_group(data)), range(_GROUPS)):
+                pass
+        return time.perf_counter() - start
+
+    seconds(2)
+    return float(np.median([seconds(1) / seconds(2) for _ in range(rounds)]))
+
+
+def _profile(scans: Sequence[Scan], error: float, effort: Effort) -> str:
+    """CPU ms a scan by file, encoder and decoder, of what takes more than a hundredth of either."""
+    data = [coded.data for coded in encode_group(scans, error, effort)]
+    parts = profile(lambda: encode_group(scans, error, effort)), profile(lambda: list(decode_group(data)))
+    ms = [{name: 1e3 * s / len(scans) for name, s in part.items()} for part in parts]
+    whole = [sum(part.values()) for part in ms]
+    large = {name for part, of in zip(ms, whole, strict=True) for name, s in part.items() if s > of / 100}
+    rows = [(name, *(part.get(name, 0.0) for part in ms)) for name in sorted(large)]
+    rows.append(
+        ("others", *(of - sum(part.get(n, 0.0) for n in large) for part, of in zip(ms, whole, strict=True)))
+    )
+    rows.append(("all", *whole))
+    lines = [f"{'CPU ms a scan, salpcc ' + effort:62}{'encode':>9}{'decode':>9}"]
+    return "\n".join(lines + [f"  {name:60}{encode:9.2f}{decode:9.2f}" for name, encode, decode in rows])
 
 
 def race(runners: Sequence[Runner], scans: Sequence[Scan], rounds: int) -> None:
@@ -161,14 +204,26 @@ def _figures(runner: Runner, points: int) -> tuple[float, float, float, float]:
     return geometry, total, float(np.median(runner.encode_ms)), float(np.median(runner.decode_ms))
 
 
-def _runners(scans: Sequence[Scan], error: float, efforts: Sequence[str]) -> Iterator[Runner]:
-    """Ours at each effort, then the rivals that can do what is asked."""
-    for effort in get_args(Effort):
-        if effort in efforts:
-            encode = _ours(scans, error, effort)
-            yield Runner(f"salpcc {effort}", error, encode, lambda data: list(decode_group(data)), error)
+def _runners(scans: Sequence[Scan], error: float, efforts: Sequence[Effort]) -> Iterator[Runner]:
+    """Ours at each effort, all in one layer, then the static layer of two alone; then the rivals that can do what is asked."""
+    for effort in efforts:
+        encode = _ours(scans, error, effort)
+        yield Runner(f"salpcc {effort}", error, encode, _decode, error)
+    if all(scan.classes is not None for scan in scans):
+        for effort in efforts:
+            yield Runner(
+                f"salpcc {effort}, static layer", error, _static(scans, error, effort), _decode, error, False
+            )
     for name in RIVALS if error > 0 else ("xz", "zstd"):
         yield _rival(name, BASELINES[name], scans, error)
+
+
+def _decode(data: list[bytes]) -> list[Scan]:
+    return list(decode_group(data))
+
+
+def _static(scans: Sequence[Scan], error: float, effort: Effort) -> Callable[[], list[Coded]]:
+    return lambda: encode_static_layer(scans, error, effort)
 
 
 def _ours(scans: Sequence[Scan], error: float, effort: Effort) -> Callable[[], list[Coded]]:
@@ -200,10 +255,11 @@ def _scans(root: Path | None, sequence: str, number: int) -> list[Scan]:
     """Read the first scans of a sequence, or simulate them."""
     source = SOURCES["semantickitti"]
     if root is not None:
-        return [source.read(ref, with_labels=False) for ref in source.scans(root, sequence)[:number]]
+        refs = source.scans(root, sequence)[:number]
+        return [source.read(ref, with_labels=ref.labels is not None) for ref in refs]
     with tempfile.TemporaryDirectory() as folder:
         refs = Simulated().make(Path(folder), sequence, number)
-        return [source.read(ref, with_labels=False) for ref in refs]
+        return [source.read(ref, with_labels=True) for ref in refs]
 
 
 if __name__ == "__main__":

@@ -20,18 +20,18 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.predict.values import predict_sweeps
 from salpcc.stages.residual_code.paper.grid_coder import decode_grids
-from salpcc.stages.residual_code.paper.grid_payload import GRID_CODEC
-from salpcc.stages.residual_code.sensor.gop_models import GopModels
-from salpcc.stages.residual_code.sensor.payload import Payload
+from salpcc.stages.residual_code.paper.grid_header import GRID_CODEC
+from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan, encode_scan
+from salpcc.stages.residual_code.stream import Payload
 
 
 def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "default") -> list[Payload]:
     """Encode the sweeps of one GOP, predictions included."""
-    models = GopModels(sensor)
+    state = GopState(sensor)
     group = list(sweeps)
     predictions = predict_sweeps(group, sensor, effort)
-    return [encode_scan(s, sensor, p, models) for s, p in zip(group, predictions, strict=True)]
+    return [encode_scan(s, sensor, p, state) for s, p in zip(group, predictions, strict=True)]
 
 
 def encode_layers(
@@ -47,10 +47,10 @@ def encode_movable(
     layers: list[tuple[Sweep, Sweep]], sensor: SensorModel, effort: str = "default"
 ) -> list[Payload]:
     """Encode the movable layers of one GOP, each with its static one at hand."""
-    models = GopModels(sensor)
+    state = GopState(sensor)
     predictions = predict_sweeps((movable for _, movable in layers), sensor, effort)
     return [
-        encode_scan(movable, sensor, predicted, models, static)
+        encode_scan(movable, sensor, predicted, state, static)
         for (static, movable), predicted in zip(layers, predictions, strict=True)
     ]
 
@@ -82,9 +82,9 @@ def decode_gop(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep
     Raises:
         ArchiveError: a payload is damaged.
     """
-    models = GopModels(sensor)
+    state = GopState(sensor)
     for data in payloads:
-        yield decode_scan(data, sensor, models)
+        yield decode_scan(data, sensor, state)
 
 
 def layered_scan(static: Sweep, movable: Sweep, sensor: SensorModel, alone: bool = False) -> Scan:

@@ -20,10 +20,11 @@ from salpcc.schemas.shards import (
 )
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.residual_code.paper.grid_coder import GridModels, encode_grid
-from salpcc.stages.residual_code.sensor.gop_models import GopModels
-from salpcc.stages.residual_code.sensor.payload import Payload
+from salpcc.stages.residual_code.paper.grid_coder import encode_grid
+from salpcc.stages.residual_code.paper.grid_streams import GridState
+from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import encode_scan
+from salpcc.stages.residual_code.stream import Payload
 
 VERSION = 8
 
@@ -73,22 +74,22 @@ _Coded = tuple[Sweep | GridSweep, Payload, tuple[Sweep, Payload] | None]  # the 
 
 def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
     sensor = load_sensor(config.sensor)
-    models, layer_models = GopModels(sensor), GopModels(sensor)
+    state, layer_state = GopState(sensor), GopState(sensor)
     sweeps = table_to_sweeps(task)
     movable: Sequence[Sweep | None] = table_to_movable(task) or [None] * len(sweeps)
     guessed: Sequence[Prediction | None] = table_to_movable_predictions(prediction) or [None] * len(sweeps)
     for sweep, predicted, layer, guess in zip(
         sweeps, table_to_predictions(prediction), movable, guessed, strict=True
     ):
-        payload = encode_scan(sweep, sensor, predicted, models)
+        payload = encode_scan(sweep, sensor, predicted, state)
         if layer is None or guess is None:
             yield sweep, payload, None
         else:
-            yield sweep, payload, (layer, encode_scan(layer, sensor, guess, layer_models, sweep))
+            yield sweep, payload, (layer, encode_scan(layer, sensor, guess, layer_state, sweep))
 
 
 def _grids(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
-    models = GridModels(config.coder)
+    models = GridState(config.coder)
     given = zip(
         table_to_grids(task), table_to_planes(planes), table_to_grid_predictions(prediction), strict=True
     )

@@ -20,10 +20,11 @@ from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.paper.frames import predict_gop
 from salpcc.stages.residual_code.gop import decode_any, encode_gop
-from salpcc.stages.residual_code.paper import grid_payload
-from salpcc.stages.residual_code.paper.grid_coder import GridModels, encode_grid
+from salpcc.stages.residual_code.paper import grid_header
+from salpcc.stages.residual_code.paper.grid_coder import encode_grid
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
-from salpcc.stages.residual_code.sensor import payload
+from salpcc.stages.residual_code.paper.grid_streams import GridState
+from salpcc.stages.residual_code.sensor import header
 from salpcc.stages.segment.task import quantise
 
 SENSOR = load_sensor("hdl64e")
@@ -45,8 +46,8 @@ def small_scan(sensor: SensorModel, rng: np.random.Generator) -> Scan:
 
 def _sensor_profile(folder: Path) -> list[bytes]:
     sweep = scan_to_sweep(small_scan(SENSOR, np.random.default_rng(0)), SENSOR)
-    tasks = [(task, effort) for task in (sweep, quantise(sweep, SENSOR, 0.01)) for effort in payload.EFFORTS]
-    _crcs[folder] = [payload.content_crc(task) for task, _ in tasks]
+    tasks = [(task, effort) for task in (sweep, quantise(sweep, SENSOR, 0.01)) for effort in header.EFFORTS]
+    _crcs[folder] = [header.content_crc(task) for task, _ in tasks]
     return [encode_gop([task], SENSOR, effort)[0].data for task, effort in tasks]
 
 
@@ -74,27 +75,27 @@ def _aimed(folder: Path) -> list[bytes]:
     sweeps = [scan_to_sweep(Scan("0", p, intensity), OTHER) for p in (points, moved)]
     sweeps[1] = replace(sweeps[1], motion=motion)
     tasks = [task for sweep in sweeps for task in (sweep, quantise(sweep, OTHER, 0.01))]
-    _crcs[folder] = [payload.content_crc(task) for task in tasks]
+    _crcs[folder] = [header.content_crc(task) for task in tasks]
     return [encode_gop([task], OTHER, "fast")[0].data for task in tasks]
 
 
 def _read_aimed(which: int, data: bytes, folder: Path) -> None:
     for back in decode_any([data], OTHER):
-        if isinstance(back, GridSweep) or payload.content_crc(back) != _crcs[folder][which]:
+        if isinstance(back, GridSweep) or header.content_crc(back) != _crcs[folder][which]:
             raise Wrong("a payload decoded to another scan")
 
 
 def _paper_profile(folder: Path) -> list[bytes]:
     scan = small_scan(SENSOR, np.random.default_rng(0))
     grid = scan_to_grid(scan, 0.02, row_elevations([scan.points]))
-    _crcs[folder] = [grid_payload.content_crc(grid)] * len(IMAGE_CODERS)
+    _crcs[folder] = [grid_header.content_crc(grid)] * len(IMAGE_CODERS)
     (predicted,) = predict_gop([grid])
-    return [encode_grid(grid, fit_ground(grid), predicted, GridModels(coder)).data for coder in IMAGE_CODERS]
+    return [encode_grid(grid, fit_ground(grid), predicted, GridState(coder)).data for coder in IMAGE_CODERS]
 
 
 def _read(which: int, data: bytes, folder: Path) -> None:
     for back in decode_any([data], SENSOR):
-        crc = grid_payload.content_crc if isinstance(back, GridSweep) else payload.content_crc
+        crc = grid_header.content_crc if isinstance(back, GridSweep) else header.content_crc
         if crc(back) != _crcs[folder][which]:
             raise Wrong("a payload decoded to another scan")
 

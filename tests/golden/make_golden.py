@@ -29,7 +29,7 @@ from salpcc.stages.lattice.untwist import twist
 from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import encode_gop
-from salpcc.stages.residual_code.sensor.payload import CODEC_VERSION, EFFORTS
+from salpcc.stages.residual_code.sensor.header import CODEC_VERSION, EFFORTS
 from salpcc.stages.segment.task import quantise
 
 FOLDER = Path(__file__).parent

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -31,13 +32,19 @@ def encode_group(scans: Sequence[Scan], max_error: float, effort: Effort = "defa
 
     An error of 0 is bit-exact; above, no point is farther than that from its source.
     """
+    bare = [Scan(scan.name, scan.points, scan.intensity) for scan in scans]
+    return _encode(bare, {"max_error": max_error or None, "keep_movable": True, "effort": effort})
+
+
+def encode_static_layer(scans: Sequence[Scan], max_error: float, effort: Effort = "default") -> list[Coded]:
+    """Encode consecutive scans as one group in two layers, by their own classes; return the static one."""
+    return _encode(scans, {"max_error": max_error or None, "labels": "given", "effort": effort})
+
+
+def _encode(scans: Sequence[Scan], config: dict[str, Any]) -> list[Coded]:
     from salpcc.stages.coding import code
 
-    config = RunConfig.model_validate(
-        {"max_error": max_error or None, "keep_movable": True, "effort": effort}
-    )
-    bare = [(number, Scan(scan.name, scan.points, scan.intensity)) for number, scan in enumerate(scans)]
-    table = code(bare, config)["residual_code"]
+    table = code(enumerate(scans), RunConfig.model_validate(config))["residual_code"]
     return [Coded(r["data"], r["geometry"], r["intensity"], r["side"]) for r in table.to_pylist()]
 
 
@@ -66,12 +73,10 @@ def decode(data: bytes) -> Points:
 
 def geometry_bytes(data: bytes) -> int:
     """Bytes of one coded scan that are not intensity or classes."""
-    from salpcc.stages.residual_code.sensor.payload import STREAMS, unpack
+    from salpcc.stages.residual_code.sensor.payload import unpack
 
     _, streams = unpack(data[1:])
-    others = ("intensity", "stray_intensity", "classes")
-    # The stream of recorded messages stands in payloads of logs only.
-    return len(data) - sum(len(s) for name, s in zip(STREAMS, streams, strict=False) if name in others)
+    return len(data) - sum(len(streams[name]) for name in ("intensity", "stray_intensity", "classes"))
 
 
 SALPCC = Baseline(

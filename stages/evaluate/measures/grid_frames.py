@@ -20,7 +20,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.coding import code
 from salpcc.stages.ground_fit.grid_planes import ground_of
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
-from salpcc.stages.residual_code.paper.grid_coder import images_of
+from salpcc.stages.residual_code.paper.grid_streams import images_of
 from salpcc.stages.residual_code.paper.image_coder import Images
 
 

@@ -43,6 +43,7 @@ from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.passing_salvage import passing_log
 from salpcc.stages.residual_code.archive.writer import message_of
 from salpcc.stages.residual_code.paper import grid_payload
+from salpcc.stages.residual_code.paper.grid_header import GRID_CODEC
 from salpcc.stages.residual_code.sensor import payload
 
 # At least one of them is in whatever part of an archive holds a scan.
@@ -227,7 +228,7 @@ class Salvage:
 
 def _entry(name: str, data: bytes) -> ScanEntry:
     """Count again what the lost index said of a scan; what was lost to the grid counts as dropped."""
-    if data[:1] == bytes([grid_payload.GRID_CODEC]):
+    if data[:1] == bytes([GRID_CODEC]):
         grid, streams = grid_payload.unpack(data)
         n_points, kept, strays, coded = grid.n_points, grid.returns, 0, grid_payload.pack(grid, streams)
     else:

@@ -4,74 +4,36 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.schemas.grid import COLUMNS, ROWS, GridSweep
-from salpcc.stages.residual_code.sensor.payload import GROUPS, MAX_POINTS, Payload
+from salpcc.schemas.grid import COLUMNS, ROWS
+from salpcc.stages.residual_code.paper.grid_header import CODERS, GRID_CODEC, MOTION, GridHeader
+from salpcc.stages.residual_code.paper.grid_streams import STREAMS
+from salpcc.stages.residual_code.sensor.header import MAX_POINTS
+from salpcc.stages.residual_code.stream import GROUPS, Payload
 
-GRID_CODEC = 129  # 128 + version; below 128 are the codec versions of the sensor profile
-# The order is part of the format.
-CODERS = ("context", "ppmd", "zstd", "lz4", "bzip2", "brotli", "lzma2", "deflate64", "lizard", "lz5")
-STREAMS = ("side", "mask", "ground", "levels", "intensity", "classes")
-_GROUP_OF_STREAM = (0, 0, 0, 0, 1, 2)
-
-MOTION, CLASSES, FLOAT_INTENSITY, ELEVATION = 1, 2, 4, 8
-_FIXED = struct.Struct("<BBBBIId I 6h 8s 6I")
+_FIXED = struct.Struct(f"<BBBBIId I 6h 8s {len(STREAMS)}I")
 _CRC = struct.Struct("<I")
 
 
-@dataclass(frozen=True)
-class GridHeader:
-    """What a decoder must know before the streams.
-
-    ``motion`` from the frame before, in whole units, is None where the frame is predicted from none;
-    ``weights`` names the prediction network, zeros without a motion.
-    """
-
-    flags: int
-    coder: str
-    n_points: int
-    returns: int
-    accuracy: float
-    content_crc: int
-    motion: NDArray[np.int32] | None
-    weights: bytes
-
-
-def content_crc(sweep: GridSweep) -> int:
-    """CRC-32 of all that a grid sweep decodes to."""
-    crc = zlib.crc32(struct.pack("<Qd", sweep.n_points, sweep.accuracy))
-    for array, kind in (
-        (sweep.elevation, "<i2"),
-        (sweep.level, "<i4"),
-        (sweep.intensity, "<f4"),
-        (sweep.classes, "u1"),
-    ):
-        if array is not None:
-            crc = zlib.crc32(np.ascontiguousarray(array, dtype=kind).tobytes(), crc)
-    return crc
-
-
-def pack(header: GridHeader, streams: list[bytes]) -> Payload:
-    """Join header and streams (one per name in STREAMS)."""
+def pack(header: GridHeader, streams: dict[str, bytes]) -> Payload:
+    """Join header and streams (one per row of STREAMS)."""
     motion = np.zeros(6, np.int32) if header.motion is None else header.motion
     fixed = _FIXED.pack(
         GRID_CODEC, header.flags, CODERS.index(header.coder), 0, header.n_points, header.returns,
         header.accuracy, header.content_crc, *(int(m) for m in motion), header.weights,
-        *(len(stream) for stream in streams),
+        *(len(streams[row.name]) for row in STREAMS),
     )  # fmt: skip
     sizes = dict.fromkeys(GROUPS, 0) | {"geometry": len(fixed), "side": _CRC.size}
-    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=True):
-        sizes[GROUPS[group]] += len(stream)
-    body = b"".join([fixed, *streams])
+    for row in STREAMS:
+        sizes[row.group] += len(streams[row.name])
+    body = b"".join([fixed, *(streams[row.name] for row in STREAMS)])
     return Payload(body + _CRC.pack(zlib.crc32(body)), sizes)
 
 
-def unpack(data: bytes) -> tuple[GridHeader, list[bytes]]:
+def unpack(data: bytes) -> tuple[GridHeader, dict[str, bytes]]:
     """Take a payload apart; inverse of :func:`pack`.
 
     Raises:
@@ -102,8 +64,8 @@ def unpack(data: bytes) -> tuple[GridHeader, list[bytes]]:
     header = GridHeader(
         flags, CODERS[coder], n_points, returns, accuracy, fields[7], motion, fields[14]
     )  # fmt: skip
-    streams, position = [], _FIXED.size
-    for length in lengths:
-        streams.append(data[position : position + length])
+    streams, position = {}, _FIXED.size
+    for row, length in zip(STREAMS, lengths, strict=True):
+        streams[row.name] = data[position : position + length]
         position += length
     return header, streams

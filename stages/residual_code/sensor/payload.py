@@ -8,158 +8,93 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.schemas.sweep import Sweep
-
-CODEC_VERSION = 3
-EFFORTS = ("fast", "default", "max")
-STREAMS = (
-    "mask",
-    "levels",
-    "millimetre",
-    "ulp",
-    "stray_points",
-    "intensity",
-    "stray_intensity",
-    "classes",
-    "cloud",  # only with its flag
-    "lead",  # only of a movable layer
+from salpcc.stages.residual_code.sensor.header import (
+    CODEC_VERSION,
+    EFFORTS,
+    LAYER,
+    MAX_POINTS,
+    MOTION,
+    SIX,
+    Header,
 )
-GROUPS = ("geometry", "intensity", "classes", "side")
-_GROUP_OF_STREAM = (0, 0, 0, 0, 0, 1, 1, 2, 3, 0)
+from salpcc.stages.residual_code.sensor.streams import STREAMS, Decoding, Encoding
+from salpcc.stages.residual_code.stream import GROUPS, Payload, Stream
 
-MOTION, CLASSES, FLOAT_INTENSITY, CLOUD, LAYER = 1, 2, 4, 8, 16
-_MORE = ((8, CLOUD), (9, LAYER))  # streams that only flags bring, with lengths of their own
-_FIXED = struct.Struct("<BBBBIIIIddd I 8s 8I")
-_MOTION = struct.Struct("<6d")
 _CRC = struct.Struct("<I")
-_LENGTH = struct.Struct("<I")  # of such a stream
-_CLOUD = struct.Struct("<qIB")
-_FACTS = struct.Struct("<QQd")
-MAX_POINTS = 1 << 24
+_LENGTH = struct.Struct("<I")  # of a stream that is there only with a flag
 
 
-@dataclass(frozen=True)
-class Payload:
-    """Bytes of one scan and how many of them each group of streams took; the groups add up to all."""
+class _Layout(NamedTuple):
+    """How the rows of a table of streams lie in a payload."""
 
-    data: bytes
-    sizes: dict[str, int]
-
-
-@dataclass(frozen=True)
-class Header:
-    """What a decoder must know before the streams; counts are of kept points.
-
-    ``weights`` is the first 8 bytes of the digest of the learned models or of the tables.
-    """
-
-    flags: int
-    effort: str
-    n_points: int
-    returns: int
-    strays: int
-    step: int
-    max_error: float
-    millimetre_reach: float
-    ulp_reach: float
-    content_crc: int
-    weights: bytes
-    motion: NDArray[np.float64] | None
+    rows: list[Stream[Encoding, Decoding]]  # in their places
+    always: list[str]  # names of those whose length is in the fixed part
+    fixed: struct.Struct
 
 
-def content_crc(sweep: Sweep) -> int:
-    """CRC-32 of all that a sweep decodes to."""
-    crc = zlib.crc32(_FACTS.pack(sweep.n_points, sweep.step, sweep.max_error))
-    if sweep.motion is not None:
-        crc = zlib.crc32(_MOTION.pack(*sweep.motion), crc)
-    for array, kind in (
-        (sweep.laser, "u1"),
-        (sweep.tick, "<i4"),
-        (sweep.count, "<i4"),
-        (sweep.intensity, "<f4"),
-        (sweep.millimetre, "u1"),
-        (sweep.ulp, "u1"),
-        (sweep.stray_index, "<i8"),
-        (sweep.stray_points, "<f4"),
-        (sweep.classes, "u1"),
-        (sweep.stray_classes, "u1"),
-        (sweep.lead, "<i8"),
-    ):
-        if array is not None:
-            crc = zlib.crc32(np.ascontiguousarray(array, dtype=kind).tobytes(), crc)
-    if sweep.cloud is not None:
-        cloud = sweep.cloud
-        crc = zlib.crc32(_CLOUD.pack(cloud.delay, cloud.sequence, cloud.whole), crc)
-        parts = [cloud.topic.encode(), cloud.encoding.encode(), cloud.head, cloud.tail, cloud.loose]
-        for part in [*parts, *([cloud.channel.to_bytes(2, "little")] if cloud.channel else ())]:
-            crc = zlib.crc32(part, crc)
-        crc = zlib.crc32(np.ascontiguousarray(cloud.rest).tobytes(), crc)
-    return crc
+@cache
+def _layout(table: tuple[Stream[Encoding, Decoding], ...]) -> _Layout:
+    rows = sorted(table, key=lambda row: row.place)
+    always = [row.name for row in rows if not row.flag]
+    return _Layout(rows, always, struct.Struct(f"<BBBBIIIIddd I 8s {len(always)}I"))
 
 
-def pack(header: Header, streams: list[bytes]) -> Payload:
-    """Join header and streams (one per name in STREAMS; empty where its flag is not set)."""
-    parts = [
-        _FIXED.pack(
-            CODEC_VERSION, header.flags, EFFORTS.index(header.effort), 0,
-            header.n_points, header.returns, header.strays, header.step,
-            header.max_error, header.millimetre_reach, header.ulp_reach,
-            header.content_crc, header.weights, *(len(stream) for stream in streams[:8]),
-        )
-    ]  # fmt: skip
-    if header.motion is not None:
-        parts.append(_MOTION.pack(*header.motion))
-    parts += [_LENGTH.pack(len(streams[place])) for place, flag in _MORE if header.flags & flag]
-    body = b"".join(parts + streams)
-    return Payload(body + _CRC.pack(zlib.crc32(body)), _sizes(header, streams))
+def pack(header: Header, streams: dict[str, bytes]) -> Payload:
+    """Join header and streams (one per row of STREAMS; empty where its flag is not set)."""
+    rows, always, fixed_part = _layout(STREAMS)
+    fixed = fixed_part.pack(
+        CODEC_VERSION, header.flags, EFFORTS.index(header.effort), 0,
+        header.n_points, header.returns, header.strays, header.step,
+        header.max_error, header.millimetre_reach, header.ulp_reach,
+        header.content_crc, header.weights, *(len(streams[name]) for name in always),
+    )  # fmt: skip
+    motion = b"" if header.motion is None else SIX.pack(*header.motion)
+    sizes = dict.fromkeys(GROUPS, 0) | {"geometry": len(fixed) + len(motion), "side": _CRC.size}
+    lengths = b""
+    for row in rows:
+        if row.flag & header.flags:
+            lengths += _LENGTH.pack(len(streams[row.name]))
+            sizes[row.group] += _LENGTH.size
+        sizes[row.group] += len(streams[row.name])
+    body = b"".join([fixed, motion, lengths, *(streams[row.name] for row in rows)])
+    return Payload(body + _CRC.pack(zlib.crc32(body)), sizes)
 
 
-def _sizes(header: Header, streams: list[bytes]) -> dict[str, int]:
-    """Bytes of a payload by group."""
-    found = dict.fromkeys(GROUPS, 0)
-    found["geometry"] = _FIXED.size + (header.motion is not None) * _MOTION.size
-    found["side"] = _CRC.size
-    for place, flag in _MORE:
-        found[GROUPS[_GROUP_OF_STREAM[place]]] += bool(header.flags & flag) * _LENGTH.size
-    for stream, group in zip(streams, _GROUP_OF_STREAM, strict=True):
-        found[GROUPS[group]] += len(stream)
-    return found
-
-
-def unpack(data: bytes) -> tuple[Header, list[bytes]]:
+def unpack(data: bytes) -> tuple[Header, dict[str, bytes]]:
     """Take a payload apart; inverse of :func:`pack`.
 
     Raises:
         ArchiveError: the checksum fails, the version is newer, or a length does not fit.
     """
-    if len(data) < _FIXED.size + _CRC.size:
+    rows, always, fixed = _layout(STREAMS)
+    if len(data) < fixed.size + _CRC.size:
         raise ArchiveError("payload is truncated")
     (crc,) = _CRC.unpack_from(data, len(data) - _CRC.size)
     if zlib.crc32(data[: -_CRC.size]) != crc:
         raise ArchiveError("payload is damaged (checksum differs)")
-    fields = _FIXED.unpack_from(data)
+    fields = fixed.unpack_from(data)
     version, flags, effort, reserved, n_points, returns, strays, step = fields[:8]
     if version != CODEC_VERSION:
         raise ArchiveError(f"payload has codec version {version}, this tool reads {CODEC_VERSION}")
-    position = _FIXED.size
+    position = fixed.size
     motion = None
     if flags & MOTION:
-        if len(data) < position + _MOTION.size + _CRC.size:
+        if len(data) < position + SIX.size + _CRC.size:
             raise ArchiveError("payload is truncated")
-        motion = np.array(_MOTION.unpack_from(data, position))
-        position += _MOTION.size
-    lengths = [*fields[13:], 0, 0]
-    for place, flag in _MORE:
-        if flags & flag:
+        motion = np.array(SIX.unpack_from(data, position))
+        position += SIX.size
+    lengths = dict(zip(always, fields[13:], strict=True))
+    for row in rows:
+        if flags & row.flag:
             if len(data) < position + _LENGTH.size + _CRC.size:
                 raise ArchiveError("payload is truncated")
-            (lengths[place],) = _LENGTH.unpack_from(data, position)
+            (lengths[row.name],) = _LENGTH.unpack_from(data, position)
             position += _LENGTH.size
     sound = (
         effort < len(EFFORTS)
@@ -171,7 +106,7 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
         and all(np.isfinite(fields[8:11]))
         and (fields[8] > 0 or (fields[8] == 0 and step == 1))
         and (motion is None or bool(np.isfinite(motion).all()))
-        and position + sum(lengths) + _CRC.size == len(data)
+        and position + sum(lengths.values()) + _CRC.size == len(data)
     )
     if not sound:
         raise ArchiveError("payload has a header that cannot be")
@@ -189,8 +124,9 @@ def unpack(data: bytes) -> tuple[Header, list[bytes]]:
         weights=fields[12],
         motion=motion,
     )
-    streams = []
-    for length in lengths:
-        streams.append(data[position : position + length])
+    streams = {}
+    for row in rows:
+        length = lengths.get(row.name, 0)
+        streams[row.name] = data[position : position + length]
         position += length
     return header, streams

@@ -20,7 +20,7 @@ from salpcc.stages.residual_code.archive.format import ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
-from salpcc.stages.residual_code.sensor.payload import CODEC_VERSION
+from salpcc.stages.residual_code.sensor.header import CODEC_VERSION
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 EXPECTED = json.loads((GOLDEN / "expected.json").read_text())

@@ -14,7 +14,7 @@ from salpcc.pipeline.archive import Archive
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_gop, encode_layers
-from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 
 LAYERS = Path(__file__).parents[2] / "golden" / "layers"
@@ -42,7 +42,7 @@ def test_encodes_to_the_same_bytes(name: str, tmp_path: Path) -> None:
     sensor, gops = reader.facts.sensor, []
     for gop in range(len(reader.gops)):
         static, movable = reader.payloads(gop), reader.movable_payloads(gop)
-        models, pairs = GopModels(sensor), []
+        models, pairs = GopState(sensor), []
         for sweep, layer in zip(decode_gop((p.data for p in static), sensor), movable, strict=True):
             pairs.append((sweep, decode_scan(layer.data, sensor, models, sweep)))
         assert any(len(layer.laser) for _, layer in pairs) and any(len(p.stray_index) for _, p in pairs)

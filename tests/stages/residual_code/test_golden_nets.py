@@ -55,7 +55,7 @@ def test_every_form_is_there() -> None:
     for name in STRAYS:
         reader = ArchiveReader(NETS / name)
         for payload in (p for gop in range(len(reader.gops)) for p in reader.payloads(gop)):
-            stream = bytes(unpack(payload.data)[1][4])
+            stream = bytes(unpack(payload.data)[1]["stray_points"])
             if stream:
                 forms.add(stream[4])
                 layouts.add((min(stream[5], 2), min(stream[7], 2)))

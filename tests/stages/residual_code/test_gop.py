@@ -11,7 +11,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
-from salpcc.stages.residual_code.sensor.payload import content_crc
+from salpcc.stages.residual_code.sensor.header import content_crc
 from salpcc.stages.segment.task import quantise
 
 EFFORTS = ("fast", "default", "max")

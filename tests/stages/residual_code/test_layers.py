@@ -12,8 +12,8 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.layers import both
 from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop, encode_layers, layered_scan
-from salpcc.stages.residual_code.sensor.gop_models import GopModels
-from salpcc.stages.residual_code.sensor.payload import content_crc
+from salpcc.stages.residual_code.sensor.gop_state import GopState
+from salpcc.stages.residual_code.sensor.header import content_crc
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 from salpcc.stages.segment.task import keep, quantise, split
 
@@ -50,7 +50,7 @@ def layers_of(sweeps, sensor, bounds=(None, None)):  # type: ignore[no-untyped-d
 
 
 def decoded(coded, sensor):  # type: ignore[no-untyped-def]
-    models = GopModels(sensor)
+    models = GopState(sensor)
     for static, (_, movable) in zip(decode_gop([s.data for s, _ in coded], sensor), coded, strict=True):
         yield static, decode_scan(movable.data, sensor, models, static)
 
@@ -124,9 +124,9 @@ def test_a_layer_is_taken_for_no_other(sweeps, sensor) -> None:
     with pytest.raises(ArchiveError, match="another layer"):
         list(decode_gop([coded[0][1].data], sensor))
     with pytest.raises(ArchiveError, match="another layer"):
-        decode_scan(coded[0][0].data, sensor, GopModels(sensor), pairs[0][0])
+        decode_scan(coded[0][0].data, sensor, GopState(sensor), pairs[0][0])
     with pytest.raises(ArchiveError):
-        both_of_others = decode_scan(coded[0][1].data, sensor, GopModels(sensor), pairs[1][0])
+        both_of_others = decode_scan(coded[0][1].data, sensor, GopState(sensor), pairs[1][0])
         layered_scan(pairs[1][0], both_of_others, sensor)
 
 

@@ -144,7 +144,7 @@ def test_moved_firings_through_the_whole_codec(fan: SensorModel, rows: Points, m
         assert np.linalg.norm(back.astype(np.float64) - points, axis=1).max() <= max_error
     else:
         assert back.tobytes() == points.tobytes()
-    assert unpack(data)[1][4][4] == AIMED
+    assert unpack(data)[1]["stray_points"][4] == AIMED
     plain = plan(snap(points, max_error), max_error)
     assert len(data) < 0.75 * len(encode_strays(np.arange(len(points)), plain))
 

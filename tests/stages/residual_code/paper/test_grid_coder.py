@@ -12,15 +12,17 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
 from salpcc.stages.predict.paper.frames import predict_gop
-from salpcc.stages.residual_code.paper.grid_coder import GridModels, decode_grids, encode_grid
+from salpcc.stages.residual_code.paper.grid_coder import decode_grids, encode_grid
+from salpcc.stages.residual_code.paper.grid_header import content_crc
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
-from salpcc.stages.residual_code.paper.grid_payload import content_crc, unpack
+from salpcc.stages.residual_code.paper.grid_payload import unpack
+from salpcc.stages.residual_code.paper.grid_streams import GridState
 
 CAR, ROAD = 1, 9
 
 
 def encode(sweeps: list[GridSweep], coder: str) -> list[bytes]:
-    models = GridModels(coder)
+    models = GridState(coder)
     return [
         encode_grid(sweep, fit_ground(sweep), predicted, models).data
         for sweep, predicted in zip(sweeps, predict_gop(sweeps), strict=True)

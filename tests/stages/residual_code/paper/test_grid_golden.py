@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
-from salpcc.stages.residual_code.paper.grid_coder import GridModels, encode_grid
-from salpcc.stages.residual_code.paper.grid_payload import GRID_CODEC
+from salpcc.stages.residual_code.paper.grid_coder import encode_grid
+from salpcc.stages.residual_code.paper.grid_header import GRID_CODEC
+from salpcc.stages.residual_code.paper.grid_streams import GridState
 
 # Level ground at the sensor's height, in the regions of two rings; fitting is the encoder's own affair.
 PLANES = np.array([(region, -346, 0, 0) for region in range(60, 100)], np.int32)
@@ -41,7 +42,7 @@ def _sweeps() -> list[GridSweep]:
 
 @pytest.mark.parametrize("coder", DIGESTS)
 def test_bytes_are_those_of_this_version(coder: str) -> None:
-    models = GridModels(coder)
+    models = GridState(coder)
     data = [encode_grid(sweep, PLANES, GridPrediction(), models).data for sweep in _sweeps()]
     assert data[0][0] == GRID_CODEC == 129
     assert hashlib.sha256(b"".join(data)).hexdigest() == DIGESTS[coder]

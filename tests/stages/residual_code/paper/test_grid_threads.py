@@ -10,7 +10,8 @@ from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
 from salpcc.stages.predict.paper.frames import predict_gop
 from salpcc.stages.predict.paper.st_lstm import load_model, predictor
-from salpcc.stages.residual_code.paper.grid_coder import GridModels, decode_grids, encode_grid
+from salpcc.stages.residual_code.paper.grid_coder import decode_grids, encode_grid
+from salpcc.stages.residual_code.paper.grid_streams import GridState
 
 GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
 
@@ -25,7 +26,7 @@ def test_decoded_elsewhere(
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(1)
-        models = GridModels("context")
+        models = GridState("context")
         payloads = [
             encode_grid(sweep, fit_ground(sweep), predicted, models).data
             for sweep, predicted in zip(sweeps, predict_gop(sweeps), strict=True)

@@ -1,6 +1,6 @@
-"""What codes the levels and intensities of a GOP: adaptive bits (``fast``) or the learned networks.
+"""What codes the levels and intensities of a scan: tables (``fast``) or the learned networks.
 
-Both have the same four methods, so a scan coder does not care which it was given.
+Both have the same four methods, so a stream does not care which it was given.
 """
 
 from __future__ import annotations
@@ -11,15 +11,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.intervals import encode_intervals
-from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
-from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.learned.shipped import EFFORTS, LearnedModels, load_models
 from salpcc.stages.predict.static.coder import (
     decode_intensities,
@@ -28,8 +26,6 @@ from salpcc.stages.predict.static.coder import (
     encode_levels,
 )
 from salpcc.stages.predict.static.count_tables import StaticTables, shipped
-from salpcc.stages.residual_code import class_coder
-from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 
 Bytes = NDArray[np.uint8]
 Starts = NDArray[np.int64]
@@ -118,53 +114,6 @@ class NetworkModels:
         )
 
 
-@dataclass(frozen=True)
-class GopModels:
-    """All that learns through a GOP, and the value models by effort, made when first needed."""
-
-    sensor: SensorModel
-    firing: NDArray[np.uint16] = field(default_factory=lambda: new_bits(mask_coder.FIRING_CONTEXTS))
-    mask: NDArray[np.uint16] = field(default_factory=lambda: new_bits(mask_coder.RETURN_CONTEXTS))
-    layer_firing: NDArray[np.uint16] = field(
-        default_factory=lambda: new_bits(layer_mask_coder.FIRING_CONTEXTS)
-    )
-    layer_mask: NDArray[np.uint16] = field(default_factory=lambda: new_bits(layer_mask_coder.RETURN_CONTEXTS))
-    millimetre: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
-    ulp: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
-    classes: NDArray[np.uint16] = field(default_factory=lambda: new_bits(class_coder.CONTEXTS))
-    envelope: bytearray = field(default_factory=bytearray)  # of the recorded message before
-    _values: dict[str, ValueModels] = field(default_factory=dict)
-    _before: list[Sweep | None] = field(default_factory=lambda: [None])
-
-    def values(self, effort: str) -> ValueModels:
-        """Return the models of levels and intensities of an effort."""
-        if effort not in self._values:
-            self._values[effort] = (
-                NetworkModels(self.sensor, load_models(effort))
-                if effort in EFFORTS
-                else StaticModels(self.sensor)
-            )
-        return self._values[effort]
-
-    def warped(self, effort: str, motion: NDArray[np.float64] | None) -> WarpedSweep | None:
-        """Return the sweep before as one with ``motion`` sees it; None for efforts that do not look back."""
-        looks_back = effort in EFFORTS and load_models(effort).looks_back
-        return warp(self._before[0], motion, self.sensor) if looks_back else None
-
-    def remember(self, sweep: Sweep) -> None:
-        """Keep a decoded sweep for the next one."""
-        self._before[0] = sweep
-
-    def known(self, effort: str, weights: bytes) -> ValueModels:
-        """Return the models of an effort if they are the ones that ``weights`` names.
-
-        Raises:
-            ArchiveError: this installation ships other weights.
-        """
-        models = self.values(effort)
-        if models.weights != weights:
-            raise ArchiveError(
-                f"payload was coded with the weights {weights.hex()} of effort {effort}; this version has "
-                f"{models.weights.hex()}: decode it with the version that wrote it"
-            )
-        return models
+def value_models(effort: str, sensor: SensorModel) -> ValueModels:
+    """Return the models of levels and intensities of an effort."""
+    return NetworkModels(sensor, load_models(effort)) if effort in EFFORTS else StaticModels(sensor)

@@ -1,0 +1,406 @@
+"""The streams of a scan: one row each in the table at the end, its encoder and decoder side by side above it.
+
+An encoder reads what :class:`Encoding` knows and returns the bytes of its stream. A decoder takes these bytes, and what the
+rows before it left in :class:`Decoding`, and leaves its own values there.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.prediction import Prediction
+from salpcc.schemas.sweep import Sweep
+from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
+from salpcc.stages.lattice.layers import alone, movable_mask
+from salpcc.stages.lattice.publish import compensated_points, float32_boundary, millimetre_boundary
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
+from salpcc.stages.predict.ring_starts import ring_starts
+from salpcc.stages.residual_code import class_coder
+from salpcc.stages.residual_code.message import logged_scan
+from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
+from salpcc.stages.residual_code.sensor.gop_state import GopState
+from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER, Header
+from salpcc.stages.residual_code.sensor.value_models import ValueModels
+from salpcc.stages.residual_code.stream import Stream, as_array, require_sound
+from salpcc.stages.strays.stray_coder import Plan, decode_strays, encode_strays, plan
+from salpcc.stages.strays.stray_values import decode_values, encode_values
+from salpcc.stages.strays.timeline import Timeline
+
+Data = NDArray[np.uint8]
+_LENGTH = struct.Struct("<I")
+
+
+@dataclass
+class Encoding:
+    """One scan while it is encoded: ``flags`` and ``reach`` are for its header, the streams set them.
+
+    Args:
+        static: the static layer, where ``sweep`` is the movable one.
+    """
+
+    sweep: Sweep
+    sensor: SensorModel
+    predicted: Prediction
+    state: GopState
+    static: Sweep | None
+    flags: int = 0
+    reach: list[float] = field(default_factory=lambda: [-1.0, -1.0])  # of millimetres, of float32
+
+    @cached_property
+    def values(self) -> ValueModels:
+        return self.state.values(self.predicted.effort)
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        return ring_starts(self.sweep.laser, self.sensor.n_lasers)
+
+    @cached_property
+    def model(self) -> NDArray[np.float64]:
+        """The model points ``(M, 3)`` of the returns."""
+        return unproject(self.sensor, self.sweep.laser, self.sweep.tick, self.sweep.count)
+
+    @cached_property
+    def listed(self) -> Sweep:
+        """The sweep as its message lists it: what lies in file order, a layer has in the order of its own points."""
+        if self.static is None or self.sweep.cloud is None:
+            return self.sweep
+        return alone(self.sweep, movable_mask(self.static, self.sweep, self.sensor))
+
+    @cached_property
+    def strays(self) -> Plan:
+        """How the strays are coded."""
+        sweep = self.sweep
+        # Of points without a lattice, by their place in the list, which a movable layer's have not.
+        moved = sweep.motion if len(sweep.laser) == 0 and self.static is None else None
+        rings = None if sweep.cloud is None else self.listed.cloud.rings()  # type: ignore[union-attr]
+        told = rings is not None and rings.max(initial=0) <= 255
+        lanes = rings[self.listed.stray_index].astype(np.uint8) if told else None  # type: ignore[index]
+        times = None if len(sweep.laser) else logged_scan.told_times(self.listed)
+        return plan(sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved, lanes=lanes, times=times)
+
+    @cached_property
+    def levels(self) -> NDArray[np.uint8] | None:
+        """Intensities in hundredths ``(M,)``, as the sensor's own models take them; None if they are not."""
+        return intensity_levels(self.sweep.intensity)
+
+    @property
+    def intensity_is_field(self) -> bool:
+        return logged_scan.intensity_is_field(self.sweep, self.levels)
+
+
+@dataclass
+class Decoding:
+    """One scan while it is decoded: what the header tells, and what the streams have told so far."""
+
+    header: Header
+    sensor: SensorModel
+    state: GopState
+    static: Sweep | None
+    sweep: Sweep
+    starts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64))
+    told: Timeline | None = None  # lasers and times of the points as their own stream tells them
+    field_of_intensity: bytes = b""  # the stream of intensities where the cloud tells how to read it
+
+    @cached_property
+    def values(self) -> ValueModels:
+        return self.state.known(self.header.effort, self.header.weights)
+
+    @cached_property
+    def before(self) -> WarpedSweep | None:
+        return self.state.warped(self.header.effort, self.sweep.motion)
+
+    @cached_property
+    def model(self) -> NDArray[np.float64]:
+        return unproject(self.sensor, self.sweep.laser, self.sweep.tick, self.sweep.count)
+
+    @property
+    def intensity_is_field(self) -> bool:
+        return bool(self.header.flags & CLOUD and self.header.flags & FLOAT_INTENSITY)
+
+
+# Which firings returned.
+
+
+def _encode_mask(scan: Encoding) -> bytes:
+    sensor, state, tick, static = scan.sensor, scan.state, scan.sweep.tick, scan.static
+    turn = sensor.shift, sensor.ticks_per_turn
+    if static is None:
+        return run_encoder(
+            lambda out: mask_coder.encode_mask(scan.starts, tick, *turn, state.firing, state.mask, out),
+            len(tick),
+        )
+    known = ring_starts(static.laser, sensor.n_lasers), static.tick
+    return run_encoder(
+        lambda out: layer_mask_coder.encode_layer_mask(
+            *known, scan.starts, tick, *turn, state.layer_firing, state.layer_mask, out
+        ),
+        len(tick),
+    )
+
+
+def _decode_mask(scan: Decoding, stream: bytes) -> None:
+    sensor, state, static, n = scan.sensor, scan.state, scan.static, scan.header.returns
+    turn = sensor.shift, sensor.ticks_per_turn
+    if static is None:
+        laser, tick, sound = mask_coder.decode_mask(*turn, n, state.firing, state.mask, as_array(stream))
+    else:
+        known = ring_starts(static.laser, sensor.n_lasers), static.tick
+        laser, tick, sound = layer_mask_coder.decode_layer_mask(
+            *known, *turn, n, state.layer_firing, state.layer_mask, as_array(stream)
+        )
+    require_sound(sound)
+    scan.sweep = replace(scan.sweep, laser=laser, tick=tick)
+    scan.starts = ring_starts(laser, sensor.n_lasers)
+
+
+# How far they came from.
+
+
+def _encode_levels(scan: Encoding) -> bytes:
+    return scan.values.encode_levels(scan.sweep, scan.predicted)
+
+
+def _decode_levels(scan: Decoding, stream: bytes) -> None:
+    count, sound = scan.values.decode_levels(
+        scan.starts, scan.sweep.tick, scan.header.step, scan.before, as_array(stream)
+    )
+    require_sound(sound)
+    scan.sweep = replace(scan.sweep, count=count)
+
+
+# What rounding to millimetres, and to float32, did otherwise than ours.
+
+
+def _encode_millimetre(scan: Encoding) -> bytes:
+    if scan.sweep.max_error > 0:
+        return b""
+    return _corrections(
+        scan, 0, millimetre_boundary(scan.model), scan.sweep.millimetre, scan.state.millimetre
+    )
+
+
+def _decode_millimetre(scan: Decoding, stream: bytes) -> None:
+    reach, codes = scan.header.millimetre_reach, np.full(scan.header.returns, NO_CORRECTION, np.uint8)
+    if scan.header.max_error == 0 and reach >= 0:
+        boundary = millimetre_boundary(scan.model)
+        codes, sound = correction_coder.decode_corrections(
+            *boundary, reach, scan.state.millimetre, as_array(stream)
+        )
+        require_sound(sound)
+    scan.sweep = replace(scan.sweep, millimetre=codes)
+
+
+def _encode_ulp(scan: Encoding) -> bytes:
+    sweep = scan.sweep
+    if sweep.max_error > 0:
+        return b""
+    points = compensated_points(scan.model, sweep.millimetre, sweep.motion)
+    return _corrections(scan, 1, float32_boundary(points), sweep.ulp, scan.state.ulp)
+
+
+def _decode_ulp(scan: Decoding, stream: bytes) -> None:
+    reach, codes = scan.header.ulp_reach, np.full(scan.header.returns, NO_CORRECTION, np.uint8)
+    if scan.header.max_error == 0 and reach >= 0:
+        points = compensated_points(scan.model, scan.sweep.millimetre, scan.sweep.motion)
+        boundary = float32_boundary(points)
+        codes, sound = correction_coder.decode_corrections(*boundary, reach, scan.state.ulp, as_array(stream))
+        require_sound(sound)
+    scan.sweep = replace(scan.sweep, ulp=codes)
+
+
+def _corrections(
+    scan: Encoding,
+    which: int,
+    boundary: tuple[NDArray[np.float64], NDArray[np.int8]],
+    codes: Data,
+    bits: NDArray[np.uint16],
+) -> bytes:
+    scan.reach[which] = reach = correction_coder.correction_reach(boundary[0], codes)
+    if reach < 0:
+        return b""
+    return run_encoder(
+        lambda out: correction_coder.encode_corrections(*boundary, reach, codes, bits, out), len(codes)
+    )
+
+
+# Points off the lattice, and where they stand in the file.
+
+
+def _encode_strays(scan: Encoding) -> bytes:
+    return encode_strays(scan.sweep.stray_index, scan.strays)
+
+
+def _decode_strays(scan: Decoding, stream: bytes) -> None:
+    header, sweep = scan.header, scan.sweep
+    moved = header.motion if header.returns == 0 else None
+    places, points, scan.told, sound = decode_strays(
+        header.strays, header.max_error, as_array(stream), scan.sensor, moved
+    )
+    require_sound(sound)
+    if scan.told is not None:
+        require_sound(header.returns == 0, header.flags & CLOUD)
+    of_all = header.returns + header.strays + (0 if scan.static is None else len(scan.static))
+    if header.strays:
+        require_sound(places[0] >= 0, places[-1] < of_all, (np.diff(places) > 0).all())
+    fourth = np.zeros(header.strays, np.float32)
+    scan.sweep = replace(sweep, stray_index=places, stray_points=np.column_stack([points, fourth]))
+
+
+# Intensities of returns: hundredths, any float, or a field of the recorded message, strays' included.
+
+
+def _encode_intensity(scan: Encoding) -> bytes:
+    if scan.intensity_is_field:
+        scan.flags |= FLOAT_INTENSITY
+        return logged_scan.encode_intensity(scan.listed, scan.sensor, scan.strays.told)
+    if scan.levels is None:
+        scan.flags |= FLOAT_INTENSITY
+        floats = scan.sweep.intensity
+        return run_encoder(lambda out: encode_values(floats, (1, 0), out), len(floats))
+    return scan.values.encode_intensity(scan.levels, scan.predicted)
+
+
+def _decode_intensity(scan: Decoding, stream: bytes) -> None:
+    n, sweep = scan.header.returns, scan.sweep
+    if scan.intensity_is_field:
+        scan.field_of_intensity = stream
+        floats = np.zeros(n, np.float32)
+    elif scan.header.flags & FLOAT_INTENSITY:
+        floats, sound = decode_values(n, as_array(stream))
+        require_sound(sound)
+    else:
+        levels, sound = scan.values.decode_intensity(
+            scan.starts, sweep.tick, sweep.count, scan.header.step, scan.before, as_array(stream)
+        )
+        require_sound(sound)
+        floats = INTENSITY_OF_LEVEL[levels]
+    scan.sweep = replace(sweep, intensity=floats)
+
+
+def _encode_stray_intensity(scan: Encoding) -> bytes:
+    if scan.intensity_is_field:
+        return b""
+    fourth = scan.sweep.stray_points[:, 3]
+    return run_encoder(lambda out: encode_values(fourth, scan.strays.layout, out), len(fourth))
+
+
+def _decode_stray_intensity(scan: Decoding, stream: bytes) -> None:
+    if not scan.intensity_is_field:
+        fourth, sound = decode_values(scan.header.strays, as_array(stream))
+        require_sound(sound)
+        scan.sweep.stray_points[:, 3] = fourth
+
+
+# The order of both layers' points.
+
+
+def _encode_lead(scan: Encoding) -> bytes:
+    """How many returns of the movable layer stand before each stray of the static one; nothing for zeros."""
+    lead = scan.sweep.lead
+    if scan.static is not None:
+        scan.flags |= LAYER
+    if lead is None or not lead.any():
+        return b""
+    return run_encoder(lambda out: int(encode_integers(lead[:, None], integer_model(1), out)), len(lead))
+
+
+def _decode_lead(scan: Decoding, stream: bytes) -> None:
+    if scan.static is None:
+        return
+    n = len(scan.static.stray_index)
+    lead = np.zeros(n, np.int64)
+    if stream:
+        rows, sound = decode_integers(n, 1, integer_model(1), as_array(stream))
+        require_sound(sound)
+        lead = rows[:, 0].copy()
+    scan.sweep = replace(scan.sweep, lead=lead)
+
+
+# What else the message of a log holds.
+
+
+def _encode_cloud(scan: Encoding) -> bytes:
+    if scan.sweep.cloud is None:
+        return b""
+    scan.flags |= CLOUD
+    stream, listed = logged_scan.encode_logged(
+        scan.listed, scan.sensor, scan.state.envelope, scan.strays.told
+    )
+    scan.sweep = replace(scan.sweep, cloud=listed.cloud)
+    return stream
+
+
+def _decode_cloud(scan: Decoding, stream: bytes) -> None:
+    if not scan.header.flags & CLOUD:
+        return
+    sweep, static = scan.sweep, scan.static
+    listed = sweep if static is None else alone(sweep, movable_mask(static, sweep, scan.sensor))
+    of_field = scan.field_of_intensity if scan.intensity_is_field else None
+    found = logged_scan.decode_logged(listed, scan.sensor, stream, of_field, scan.state.envelope, scan.told)
+    scan.sweep = replace(found, stray_index=sweep.stray_index, lead=sweep.lead)
+
+
+# Classes of the strays, then of the returns.
+
+
+def _encode_classes(scan: Encoding) -> bytes:
+    sweep = scan.sweep
+    if sweep.classes is None or sweep.stray_classes is None:
+        return b""
+    scan.flags |= CLASSES
+    classes, of_strays = sweep.classes, b""
+    if sweep.cloud is not None:
+        of_strays = logged_scan.encode_stray_classes(sweep)
+    elif len(sweep.stray_classes):
+        values, layout = sweep.stray_classes.astype(np.float32), scan.strays.layout
+        of_strays = run_encoder(lambda out: encode_values(values, layout, out), len(values))
+        of_strays = _LENGTH.pack(len(of_strays)) + of_strays
+    return of_strays + run_encoder(
+        lambda out: class_coder.encode_classes(scan.starts, sweep.tick, classes, scan.state.classes, out),
+        len(classes),
+    )
+
+
+def _decode_classes(scan: Decoding, stream: bytes) -> None:
+    if not scan.header.flags & CLASSES:
+        return
+    strays, used = scan.header.strays, 0
+    of_strays = np.zeros(0, np.uint8)
+    if scan.header.flags & CLOUD:
+        of_strays, used = logged_scan.decode_stray_classes(scan.sweep, stream)
+        require_sound(len(of_strays) == strays)
+    elif strays:
+        require_sound(len(stream) >= _LENGTH.size)
+        used = _LENGTH.size + _LENGTH.unpack_from(stream)[0]
+        values, sound = decode_values(strays, as_array(stream[_LENGTH.size : used]))
+        require_sound(sound, used <= len(stream), (values >= 0).all(), (values <= 255).all())
+        of_strays = values.astype(np.uint8)
+    classes, sound = class_coder.decode_classes(
+        scan.starts, scan.sweep.tick, scan.state.classes, as_array(stream[used:])
+    )
+    require_sound(sound)
+    scan.sweep = replace(scan.sweep, classes=classes, stray_classes=of_strays)
+
+
+# Decoders run in this order: each needs what the ones above it found.
+STREAMS: tuple[Stream[Encoding, Decoding], ...] = (
+    Stream("mask", 0, "geometry", _encode_mask, _decode_mask),
+    Stream("levels", 1, "geometry", _encode_levels, _decode_levels),
+    Stream("millimetre", 2, "geometry", _encode_millimetre, _decode_millimetre),
+    Stream("ulp", 3, "geometry", _encode_ulp, _decode_ulp),
+    Stream("stray_points", 4, "geometry", _encode_strays, _decode_strays),
+    Stream("intensity", 5, "intensity", _encode_intensity, _decode_intensity),
+    Stream("stray_intensity", 6, "intensity", _encode_stray_intensity, _decode_stray_intensity),
+    Stream("lead", 9, "geometry", _encode_lead, _decode_lead, LAYER),
+    Stream("cloud", 8, "side", _encode_cloud, _decode_cloud, CLOUD),
+    Stream("classes", 7, "classes", _encode_classes, _decode_classes),
+)
