@@ -15,6 +15,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from salpcc.stages import kernels_are_kept
+
 STDERR = Console(stderr=True, highlight=False)
 
 
@@ -72,4 +74,9 @@ def bar(total: int, unit: str) -> Iterator[Report]:
     )
     # The speed of all of the run: what is left goes down, and does not jump with each group.
     with Progress(*columns, console=STDERR, speed_estimate_period=float("inf")) as progress:
-        yield _Bar(progress, total)
+        shown = _Bar(progress, total)
+        if not kernels_are_kept():
+            shown.say(
+                "The first run of an installation compiles its kernels, a minute or two; later ones find them."
+            )
+        yield shown

@@ -21,6 +21,11 @@ def _kernels_folder() -> Path:
     return Path(base) / "salpcc-pipeline" / f"kernels-{digest.hexdigest()[:16]}"
 
 
+def kernels_are_kept() -> bool:
+    """Tell whether kernels were compiled before; if none was, the next run takes a minute longer."""
+    return any(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbc"))
+
+
 if "NUMBA_CACHE_DIR" not in os.environ:
     os.environ["NUMBA_CACHE_DIR"] = str(_kernels_folder())  # read when numba is imported, by workers, too
     if "numba" in sys.modules:

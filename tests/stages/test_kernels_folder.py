@@ -6,6 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+from rich.console import Console
+
+from salpcc.pipeline import progress
+
 ROOT = Path(__file__).parents[2]
 SCRIPT = "import salpcc.stages, numba; print(numba.config.CACHE_DIR)"
 
@@ -34,3 +39,18 @@ def test_another_source_is_another_folder(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_set_stays(tmp_path: Path) -> None:
     assert folder(ROOT / "src", NUMBA_CACHE_DIR=str(tmp_path)) == str(tmp_path)
+
+
+def test_the_first_run_says_that_it_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(progress, "STDERR", Console(width=200))
+    with progress.bar(1, "scans"):
+        pass
+    assert capsys.readouterr().out.count("compiles its kernels") == 1
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "kernel.1.nbc").write_bytes(b"")
+    with progress.bar(1, "scans"):
+        pass
+    assert "compiles" not in capsys.readouterr().out
