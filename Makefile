@@ -30,7 +30,7 @@ test: $(VENV)/.tools
 	$(BIN)/pytest -q tests/pipeline tests/examples
 
 bench: $(VENV)/.tools
-	$(BIN)/python -m salpcc.stages.evaluate.bench $(if $(ROOT),--root $(ROOT))
+	$(BIN)/python -m salpcc.stages.evaluate.bench --efforts fast,default,max --threads 2 --profile-stages $(if $(ROOT),--root $(ROOT))
 
 fuzz: $(VENV)/.tools
 	$(BIN)/python tests/fuzz --count 50000

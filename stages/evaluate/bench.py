@@ -34,7 +34,6 @@ from salpcc.stages.ingest.sources.simulated import Simulated
 
 RIVALS = ("draco", "draco_sequential", "laszip")
 REFERENCE = "draco"
-_GROUPS = 4  # decoded at once
 
 
 @dataclass
@@ -63,6 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--errors", default="0,0.001,0.01", help="asked errors in metres; 0 is bit-exact")
     parser.add_argument("--efforts", default="fast,default", help="ours, of " + ", ".join(get_args(Effort)))
+    parser.add_argument("--threads", type=int, default=1, help="decode groups on so many at once, beside one")
     parser.add_argument("--profile-stages", action="store_true", help="show which files the time goes to")
     parser.add_argument("--json", type=Path, help="write the figures there, too")
     asked = parser.parse_args(arguments)
@@ -79,11 +79,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rows += [_row(runner, scans) for runner in runners]
             failed |= any(runner.keeps_order and runner.worst > runner.bound for runner in runners)
         for effort in efforts:
-            data = [coded.data for coded in encode_group(scans, errors[0], effort)]
-            gain = threads_gain(data, asked.rounds)
-            print(
-                f"salpcc {effort}: {_GROUPS} groups decode {gain:.2f} times as fast on two threads as on one"
-            )
+            if asked.threads > 1:
+                gain = threads_gain(encode_group(scans, errors[0], effort), asked.threads, asked.rounds)
+                print(
+                    f"salpcc {effort}: groups decode {gain:.2f} times as fast on {asked.threads} threads as on one"
+                )
             if asked.profile_stages:
                 print(_profile(scans, errors[0], effort))
     except SalpccError as error_:
@@ -94,18 +94,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(failed)
 
 
-def threads_gain(data: list[bytes], rounds: int) -> float:
-    """How many times as fast groups are decoded on two threads as on one, wall time, median of rounds in turns."""
+def threads_gain(group: Sequence[Coded], threads: int, rounds: int) -> float:
+    """How many times as fast groups are decoded on several threads as on one, wall time, median of rounds in turns."""
+    data = [coded.data for coded in group]
 
-    def seconds(threads: int) -> float:
+    def seconds(at_once: int) -> float:
         start = time.perf_counter()
-        with ThreadPoolExecutor(threads) as pool:
-            for _ in pool.map(lambda _: list(decode_group(data)), range(_GROUPS)):
+        with ThreadPoolExecutor(at_once) as pool:
+            for _ in pool.map(lambda _: list(decode_group(data)), range(2 * threads)):
                 pass
         return time.perf_counter() - start
 
-    seconds(2)
-    return float(np.median([seconds(1) / seconds(2) for _ in range(rounds)]))
+    seconds(threads)
+    return float(np.median([seconds(1) / seconds(threads) for _ in range(rounds)]))
 
 
 def _profile(scans: Sequence[Scan], error: float, effort: Effort) -> str:

@@ -13,6 +13,7 @@ import pytest
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate import bench
 from salpcc.stages.evaluate.baselines.ours import Coded
+from salpcc.stages.evaluate.profile import LIBRARIES, profile
 
 
 def runner(
@@ -69,3 +70,13 @@ def test_a_missing_root_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path
     assert bench.main(["--root", str(tmp_path)]) == 1
     said = capsys.readouterr().err
     assert said.startswith("bench: ") and said.count("\n") == 1
+
+
+def test_threads_and_profile(street: Callable[..., Scan], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "decode_group", lambda data: iter(data))
+    assert bench.threads_gain([Coded(b"", 0, 0, 0)], threads=2, rounds=3) > 0
+    seconds = profile(lambda: np.sort(np.random.default_rng(0).random(1 << 20)))
+    assert seconds[LIBRARIES] > 0 and not any(name.startswith("stages") for name in seconds)
+    scan = street()
+    seconds = profile(lambda: bench._same(scan, scan))
+    assert "stages/evaluate/bench" in seconds
