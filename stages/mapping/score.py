@@ -3,7 +3,8 @@
 A labelled point is in the map where the map has anything in its voxel. SA is the share of static points that
 are, DA the share of dynamic points that are not, AA the root of their product. On voxels of 0.2 m, each static or
 dynamic by the majority of its labelled points: PR is the share of static voxels that the map has, RR of dynamic
-ones that it has not, F1 their harmonic mean. Points without a label (0, 1, 52, 99) count nowhere.
+ones that it has not, F1 their harmonic mean. Points without a label (0, 1, 52, 99) count nowhere; where labels are
+made of boxes, 99 is what lies in none of them, and static.
 """
 
 from __future__ import annotations
@@ -21,17 +22,24 @@ Keys = NDArray[np.int64]
 STATIC, MOVABLE_STILL, MOVING, UNKNOWN = 0, 1, 2, 3  # what a labelled point is
 _ERASOR = 0.2  # metres
 _UNLABELLED = (0, 1, 52, 99)
+_OTHER_OBJECT = 99
 _MOVABLE_IDS = (10, 11, 13, 15, 16, 18, 20, 30, 31, 32)
 _FIRST_MOVING = 252
 
 
 def truth_of_labels(labels: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    """Tell what each point is from its SemanticKITTI label ``(N,)``; the upper 16 bits do not matter."""
+    """Tell what each point of a scan is from its SemanticKITTI label ``(N,)``; the upper 16 bits do not matter.
+
+    A scan that names nothing static, no ground even, was labelled by boxes around what may move: other-object (99) is
+    then all that the labeller saw in no box, and static.
+    """
     ids = labels & 0xFFFF
     out = np.full(len(ids), STATIC, np.uint8)
     out[np.isin(ids, _UNLABELLED)] = UNKNOWN
     out[np.isin(ids, _MOVABLE_IDS)] = MOVABLE_STILL
     out[ids >= _FIRST_MOVING] = MOVING
+    if not (out == STATIC).any():
+        out[ids == _OTHER_OBJECT] = STATIC
     return out
 
 

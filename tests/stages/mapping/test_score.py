@@ -26,6 +26,14 @@ def test_labels_tell_what_moves() -> None:
     ]  # fmt: skip
 
 
+def test_labels_made_of_boxes_call_static_what_lies_in_none() -> None:
+    """Nothing of such a scan has a class of its own; one that names its ground leaves other-object unknown."""
+    boxes = np.array([0, 99, 10, 253, 0], np.uint32)
+    assert truth_of_labels(boxes).tolist() == [UNKNOWN, STATIC, MOVABLE_STILL, MOVING, UNKNOWN]
+    classes = np.array([40, 99, 10], np.uint32)
+    assert truth_of_labels(classes).tolist() == [STATIC, UNKNOWN, MOVABLE_STILL]
+
+
 def test_scores_by_hand() -> None:
     # Voxels of 0.1 m a metre apart: 4 static points in 2 voxels, 3 moving in 1, 2 standing in 1, and an unlabelled one.
     xyz = np.array([[x + 0.05, 0.05, 0.05] for x in (0, 0, 0, 1, 2, 2, 2, 3, 3, 4)])
