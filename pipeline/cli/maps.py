@@ -7,7 +7,7 @@ import shlex
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from pydantic import ValidationError
@@ -48,6 +48,13 @@ def map_(
             "registers them. [default: odometry]",
         ),
     ] = None,
+    refine_poses: Annotated[
+        Literal["auto", "no"],
+        typer.Option(
+            help="Refine given poses by registration where the scans fit one another better so; poses.txt beside the map has "
+            "those that it was made with."
+        ),
+    ] = "auto",
     voxel: Annotated[
         float, typer.Option(metavar="METRES", help="Points in one voxel of this size are fused.")
     ] = 0.1,
@@ -109,6 +116,7 @@ def map_(
             {
                 "voxel": voxel,
                 "max_range": max_range,
+                "refine_poses": refine_poses == "auto",
                 "keep_movable": keep_movable,
                 "carve": carve,
                 "fill": fill_ground,

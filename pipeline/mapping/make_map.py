@@ -9,17 +9,16 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
-import numpy as np
-
 from salpcc.pipeline.cluster import connect
 from salpcc.pipeline.las import coordinate_system
 from salpcc.pipeline.lock import locked
 from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
 from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
 from salpcc.pipeline.mapping.map_request import MapRequest
-from salpcc.pipeline.mapping.map_steps import build_all, gather_all, place_all, score_all
+from salpcc.pipeline.mapping.map_steps import build_all, gather_all, score_all, track_all
 from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.mapping.map_tiles import TileResult
+from salpcc.pipeline.mapping.map_track import Track
 from salpcc.pipeline.mapping.map_write import write_whole
 from salpcc.pipeline.progress import Report, Silent, bar
 from salpcc.pipeline.store import ShardStore
@@ -29,7 +28,7 @@ from salpcc.schemas.work import digest_of
 from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
-VERSION = 2  # 2: LAZ of one unit of intensity
+VERSION = 3  # 2: LAZ of one unit of intensity; 3: de-skewed, poses refined
 NO_CLASSES = "no classes in it, so nothing tells what is movable; encode it without --keep-movable, or with --labels given"
 
 
@@ -56,31 +55,30 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         store = ShardStore(request.out)
         store.sweep()
         client = stack.enter_context(connect(request.workers, request.scheduler))
-        steps = (3 if refs is not None else 2) * plan.n_scans
-        watch = nullcontext(Silent()) if request.quiet else bar(steps, "scans placed or built")
+        steps = (4 if refs is not None else 3) * plan.n_scans
+        watch = nullcontext(Silent()) if request.quiet else bar(steps, "scans read, placed or built")
         report: Report = stack.enter_context(watch)
         unclassified = _unclassified(request)
         if unclassified:
             report.say(f"{', '.join(unclassified)}: {NO_CLASSES}")
-        submaps = gather_all(client, plan, request, report)
-        places = place_all(client, plan, submaps, request.out)
-        tiles = build_all(client, plan, submaps, places, request, report)
-        scans = np.concatenate([pose @ s.placed() for s, pose in zip(submaps, places, strict=True)])
-        cpu_s = 1e-3 * (sum(s.cpu_ms for s in submaps) + sum(t.cpu_ms for t in tiles))
+        found, track_ms = track_all(client, plan, request, report)
+        submaps = gather_all(client, plan, found, request, report)
+        tiles = build_all(client, plan, submaps, request, report)
+        cpu_s = 1e-3 * (track_ms + sum(s.cpu_ms for s in submaps) + sum(t.cpu_ms for t in tiles))
         rows: list[dict[str, Any]] = []
         if refs is not None:
             groups = list(zip(plan.groups, refs, strict=True))
-            rows = score_all(client, plan, groups, scans, tiles, request, report, cpu_s)
+            rows = score_all(client, plan, groups, found, tiles, request, report, cpu_s)
             if len(unclassified) == len(request.archives):  # they dropped nothing: that was not measured
                 rows = [row for row in rows if row["cleaner"] != CLASSES_ONLY]
-        write_whole(request, plan, store, tiles, scans, rows)
-        summary = _summary(request, plan, inputs, started, submaps, tiles)
+        write_whole(request, plan, store, tiles, found.poses, rows)
+        summary = _summary(request, plan, inputs, started, found, track_ms, submaps, tiles)
         summary |= {"quality": rows, "archives_without_classes": unclassified}
         with atomic(request.out / "map.json") as stream:
             stream.write(json.dumps(summary, indent=1).encode() + b"\n")
         if not request.keep_shards:
             for sequence in {plan.sequence, *(group.sequence for group in plan.groups)}:
-                store.drop_sequence(sequence, ("submap", "views", "tile", "truth"))
+                store.drop_sequence(sequence, ("thinned", "track", "submap", "views", "tile", "truth"))
     return summary
 
 
@@ -99,6 +97,8 @@ def _summary(
     plan: MapPlan,
     inputs: str,
     started: datetime,
+    found: Track,
+    track_ms: float,
     submaps: list[Submap],
     tiles: list[TileResult],
 ) -> dict[str, Any]:
@@ -116,7 +116,8 @@ def _summary(
         "poses": plan.poses,
         "origin": list(plan.origin),
         "crs": request.crs,
-        "pose_check": [asdict(s.agreement) for s in submaps if s.agreement is not None],
+        "pose_fit": asdict(found.check),
+        "pose_check": [asdict(a) for a in found.agreements],
         "config": request.config.model_dump(mode="json"),
         "points_in": sum(s.points for s in submaps),
         "points_in_map": sum(t.points for t in tiles),
@@ -124,6 +125,7 @@ def _summary(
         "tiles": [t.tile.name for t in tiles if t.kept],
         "formats": request.formats,
         "cpu_ms_per_scan": {
+            "track": track_ms / plan.n_scans,
             "gather": sum(s.cpu_ms for s in submaps) / plan.n_scans,
             "tiles": sum(t.cpu_ms for t in tiles) / plan.n_scans,
         },

@@ -16,7 +16,6 @@ from salpcc.stages.residual_code.archive.reader import ArchiveReader
 F64 = NDArray[np.float64]
 ODOMETRY = "odometry"
 _FAR = 10_000.0  # metres
-_CHECKED = 24  # groups at most whose given poses are checked by registration
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,6 @@ class Group:
         number: place in the map's order.
         names, numbers: of its scans; the numbers tell how many turns apart they are.
         poses: 16 numbers a scan, sensor to map; empty where odometry is to find them.
-        check: whether the poses are to be compared with what registration finds.
     """
 
     archive: str
@@ -37,7 +35,6 @@ class Group:
     names: tuple[str, ...]
     numbers: tuple[int, ...]
     poses: tuple[float, ...] = ()
-    check: bool = False
 
     def given(self) -> F64 | None:
         """Return the poses ``(n, 4, 4)``, or None."""
@@ -118,7 +115,7 @@ def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
         raise SourceError(f"{archives[0]}: no scan in it")
     sequences = dict.fromkeys(group.sequence for group in groups)
     x, y, z = (0.0, 0.0, 0.0) if origin is None else origin.tolist()
-    return MapPlan(_checked(groups), ", ".join(sources), "+".join(sequences), (x, y, z))
+    return MapPlan(tuple(groups), ", ".join(sources), "+".join(sequences), (x, y, z))
 
 
 def origin_of(poses: F64) -> F64:
@@ -128,15 +125,6 @@ def origin_of(poses: F64) -> F64:
     """
     first = poses[0, :3, 3] if len(poses) else np.zeros(3)
     return np.round(first, 3) if np.abs(first).max() > _FAR else np.zeros(3)
-
-
-def _checked(groups: list[Group]) -> tuple[Group, ...]:
-    """Choose the groups whose poses are checked: evenly spread, of two scans at least."""
-    able = [group.number for group in groups if group.poses and len(group.names) > 1]
-    chosen = {able[i] for i in np.linspace(0, len(able) - 1, min(_CHECKED, len(able))).round().astype(int)}
-    return tuple(
-        Group(**{**vars(group), "check": True}) if group.number in chosen else group for group in groups
-    )
 
 
 def _one_sensor(readers: list[ArchiveReader]) -> None:

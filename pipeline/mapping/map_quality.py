@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,19 +22,21 @@ from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
 from salpcc.pipeline.plan import missing_root
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.errors import SourceError, UsageError
+from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef, ShardRef, digest_of
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.velodyne_bin import read_points
 from salpcc.stages.mapping.build import CARVED, DROPPED
 from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.mapping.config import MapConfig
+from salpcc.stages.mapping.gather import in_range, still
 from salpcc.stages.mapping.poses import move
 from salpcc.stages.mapping.score import Tally, Truth, quality, tally, truth_of_labels
 from salpcc.stages.mapping.tiles import Tile, blocks_of
 from salpcc.stages.mapping.voxel import keys_of
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
-VERSION = 2
+VERSION = 3
 CLASSES_ONLY = "ours, classes only"
 # A row of the table: its name, and the bits that keep an entry out of that map.
 CLEANERS = {
@@ -79,19 +81,29 @@ def labelled(plan: MapPlan, root: Path) -> list[tuple[ScanRef, ...]]:
 
 
 def truth_group(
-    group: Group, refs: Sequence[ScanRef], poses: tuple[float, ...], config: MapConfig, out: Path
+    group: Group,
+    refs: Sequence[ScanRef],
+    poses: tuple[float, ...],
+    motions: tuple[float, ...],
+    config: MapConfig,
+    out: Path,
 ) -> TruthRef:
-    """Place the labelled points of a group's source scans and count them by voxel."""
+    """De-skew and place the labelled points of a group's source scans and count them by voxel."""
     store = ShardStore(out)
     digest = digest_of(
-        VERSION, group.sequence, group.names, [r.path for r in refs], poses, config.model_dump(mode="json")
+        VERSION,
+        group.sequence,
+        group.names,
+        [r.path for r in refs],
+        poses,
+        motions,
+        config.model_dump(mode="json"),
     )
     ref = store.ref(group.sequence, "truth", group.number, digest)
     if not store.has(ref):
-        places = np.array(poses).reshape(-1, 4, 4)
-        truth = []
-        for scan, pose in zip(refs, places, strict=True):
-            truth.append(_truth_of(scan, pose, config))
+        truth = [
+            _truth_of(scan, pose, motion, config) for scan, pose, motion in _placed(refs, poses, motions)
+        ]
         tiles, batches = [], []
         whole = _joined(truth)
         for tile, part in blocks_of(whole[0], config.tile):
@@ -125,6 +137,7 @@ def rival_tally(
     name: str,
     refs: Sequence[ScanRef],
     poses: tuple[float, ...],
+    motions: tuple[float, ...],
     truths: Sequence[TruthRef],
     config: MapConfig,
     out: Path,
@@ -133,11 +146,10 @@ def rival_tally(
 
     It sees the same points at the same poses, all of them at once, and no labels.
     """
-    places = np.array(poses).reshape(-1, 4, 4)
     scans = []
-    for ref, pose in zip(refs, places, strict=True):
-        points, _ = read_points(Path(ref.path))
-        scans.append((points[_in_range(points, config)], pose))
+    for ref, pose, motion in _placed(refs, poses, motions):
+        points, near = _still(ref, motion, config)
+        scans.append((points[near].astype(np.float32), pose))
     started = time.process_time()
     masks = cleaner(name)(scans)
     seconds = time.process_time() - started
@@ -194,20 +206,26 @@ def _row(
     return {**head, **{k.lower(): v for k, v in figures.items()}, "points": points, "seconds": seconds}
 
 
-def _truth_of(scan: ScanRef, pose: F64, config: MapConfig) -> tuple[F64, NDArray[np.uint8]]:
-    points, _ = read_points(Path(scan.path))
-    assert scan.labels is not None
-    labels = np.fromfile(scan.labels, "<u4")
+def _placed(
+    refs: Sequence[ScanRef], poses: tuple[float, ...], motions: tuple[float, ...]
+) -> Iterator[tuple[ScanRef, F64, F64]]:
+    yield from zip(refs, np.array(poses).reshape(-1, 4, 4), np.array(motions).reshape(-1, 6), strict=True)
+
+
+def _still(ref: ScanRef, motion: F64, config: MapConfig) -> tuple[F64, NDArray[np.bool_]]:
+    """The points ``(N, 3)`` of a source scan, de-skewed as the map's are, and which of them a map takes."""
+    points, intensity = read_points(Path(ref.path))
+    return still(Scan(ref.name, points, intensity), motion), in_range(points, config)
+
+
+def _truth_of(ref: ScanRef, pose: F64, motion: F64, config: MapConfig) -> tuple[F64, NDArray[np.uint8]]:
+    points, near = _still(ref, motion, config)
+    assert ref.labels is not None
+    labels = np.fromfile(ref.labels, "<u4")
     if len(labels) != len(points):
-        raise SourceError(f"{scan.labels}: {len(labels)} labels for {len(points)} points")
-    near = _in_range(points, config)
-    return move(points[near], pose), truth_of_labels(labels[near])
+        raise SourceError(f"{ref.labels}: {len(labels)} labels for {len(points)} points")
+    return move(points[near], pose), truth_of_labels(labels)[near]
 
 
 def _joined(parts: Sequence[tuple[F64, NDArray[np.uint8]]]) -> tuple[F64, NDArray[np.uint8]]:
     return np.concatenate([p for p, _ in parts]), np.concatenate([t for _, t in parts])
-
-
-def _in_range(points: NDArray[np.float32], config: MapConfig) -> NDArray[np.bool_]:
-    square = np.square(points.astype(np.float64)).sum(axis=1)
-    return np.asarray((square >= config.min_range**2) & (square <= config.max_range**2))

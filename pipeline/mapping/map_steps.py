@@ -1,17 +1,15 @@
-"""The steps of a map over a cluster: gather all groups, place them, build all tiles, score the whole."""
+"""The steps of a map over a cluster: find where the scans stand, gather them, build all tiles, score the whole."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 from distributed import Client
 
 from salpcc.pipeline.flow import each
 from salpcc.pipeline.mapping.map_frame import frame_of
-from salpcc.pipeline.mapping.map_plan import F64, ODOMETRY, Group, MapPlan
+from salpcc.pipeline.mapping.map_plan import ODOMETRY, Group, MapPlan
 from salpcc.pipeline.mapping.map_quality import (
     TruthRef,
     quality_rows,
@@ -21,43 +19,66 @@ from salpcc.pipeline.mapping.map_quality import (
     truth_group,
 )
 from salpcc.pipeline.mapping.map_request import MapRequest
-from salpcc.pipeline.mapping.map_submaps import Submap, chain, gather_group
+from salpcc.pipeline.mapping.map_submaps import Submap, gather_group
 from salpcc.pipeline.mapping.map_tiles import TileResult, build_tile, parts_of
+from salpcc.pipeline.mapping.map_track import Prepared, Track, prepare_group, read_track, track
 from salpcc.pipeline.mapping.map_write import clear
 from salpcc.pipeline.progress import Report
 from salpcc.schemas.errors import SourceError
+from salpcc.stages.mapping.agree import Agreement
+from salpcc.stages.mapping.refine import PoseCheck
 from salpcc.stages.mapping.score import Tally
 
 
-def gather_all(client: Client, plan: MapPlan, request: MapRequest, report: Report) -> list[Submap]:
-    """Gather all groups; given poses are watched as results come in, so that wrong ones end the job early."""
-    found: dict[int, Submap] = {}
-    work = [(group, request.config, request.out) for group in plan.groups]
-    for at, submap in each(client, gather_group, work, [f"gather-{g.number:05d}" for g in plan.groups]):
-        found[at] = submap
-        group = plan.groups[at]
-        report.advance(
-            len(group.names), f"{group.sequence}: gathered scans {group.names[0]} to {group.names[-1]}"
-        )
-        _check_poses(plan, found, last=len(found) == len(work))
-    return [found[at] for at in range(len(work))]
-
-
-def _check_poses(plan: MapPlan, found: dict[int, Submap], last: bool) -> None:
-    """Refuse poses that registration contradicts in most groups.
+def track_all(client: Client, plan: MapPlan, request: MapRequest, report: Report) -> tuple[Track, float]:
+    """Find where all scans stand, and say how well given poses fit; return it, and the CPU milliseconds that it took.
 
     Raises:
-        SourceError: they are not the poses of these scans.
+        SourceError: given poses are not the poses of these scans; or registration loses the way.
     """
-    checked = [
-        (plan.groups[at], s.agreement)
-        for at, s in sorted(found.items())
-        if s.agreement is not None and s.agreement.agree is not None
-    ]
-    wrong = [(group, a) for group, a in checked if not a.agree]
-    if not wrong or 2 * len(wrong) <= len(checked) or (len(wrong) < 3 and not last):
+    prepared: dict[int, Prepared] = {}
+    work = [(group, request.config, request.out) for group in plan.groups]
+    for at, result in each(client, prepare_group, work, [f"prepare-{g.number:05d}" for g in plan.groups]):
+        prepared[at] = result
+        names = plan.groups[at].names
+        report.advance(len(names), f"{plan.groups[at].sequence}: read scans {names[0]} to {names[-1]}")
+    ordered = [prepared[at] for at in range(len(work))]
+    whole = (plan.groups, ordered, request.config.refine_poses, request.out)
+    [(_, ref)] = each(client, track, [whole], ["track"])
+    found = read_track(request.out, ref)
+    _refuse_foreign(plan, found.agreements)
+    if found.agreements:
+        report.say(told(found.check))
+    return found, sum(p.cpu_ms for p in ordered) + found.cpu_ms
+
+
+def told(check: PoseCheck) -> str:
+    """Say in a line how well given poses fit, and what was done about it."""
+    if (
+        check.apart_m is None
+        or check.given_residual_m is None
+        or check.residual_m is None
+        or check.scale is None
+    ):
+        return "poses: too few points fit to check them"
+    fit = (
+        f"poses: {100 * check.apart_m:.0f} cm and {check.apart_deg:.2f} degrees from what registration finds over a group of scans, "
+        f"way {100 * (check.scale - 1):+.1f} %; points lie {100 * check.given_residual_m:.1f} cm off the surfaces of other scans"
+    )
+    if not check.refined:
+        return f"{fit}; taken as they are"
+    return (
+        f"{fit}, {100 * check.residual_m:.1f} cm with refined poses, which are taken and written to poses.txt"
+    )
+
+
+def _refuse_foreign(plan: MapPlan, agreements: Sequence[Agreement]) -> None:
+    checked = [a for a in agreements if a.agree is not None]
+    wrong = [a for a in checked if not a.agree]
+    if not wrong or 2 * len(wrong) <= len(checked):
         return
-    group, a = wrong[0]
+    a = wrong[0]
+    group = next(group for group in plan.groups if group.names[-1] == a.scan)
     raise SourceError(
         f"{plan.poses}: not the poses of these scans: from scan {group.names[0]} to {a.scan} of {group.archive} "
         f"registration finds {a.found_m:.2f} m driven, the poses say {a.given_m:.2f} m, {a.apart_m:.2f} m and "
@@ -66,32 +87,33 @@ def _check_poses(plan: MapPlan, found: dict[int, Submap], last: bool) -> None:
     )
 
 
-def place_all(client: Client, plan: MapPlan, submaps: list[Submap], out: Path) -> list[F64]:
-    """Return the pose of each submap in the map: none where poses were given, else by registration."""
-    if plan.groups[0].poses:
-        return [np.eye(4)] * len(submaps)
-    [(_, poses)] = each(client, chain, [(plan.groups, submaps, out)], ["chain"])
-    return [np.array(pose).reshape(4, 4) for pose in poses]
+def gather_all(
+    client: Client, plan: MapPlan, found: Track, request: MapRequest, report: Report
+) -> list[Submap]:
+    """Gather all groups."""
+    submaps: dict[int, Submap] = {}
+    work, at = [], 0
+    for group in plan.groups:
+        own = slice(at, at + len(group.names))
+        work.append((group, *found.of(own), request.config, request.out))
+        at = own.stop
+    for at, submap in each(client, gather_group, work, [f"gather-{g.number:05d}" for g in plan.groups]):
+        submaps[at] = submap
+        names = plan.groups[at].names
+        report.advance(len(names), f"{plan.groups[at].sequence}: gathered scans {names[0]} to {names[-1]}")
+    return [submaps[at] for at in range(len(work))]
 
 
 def build_all(
     client: Client,
     plan: MapPlan,
     submaps: list[Submap],
-    places: list[F64],
     request: MapRequest,
     report: Report,
 ) -> list[TileResult]:
     """Build all tiles that anything lies in."""
     config, size = request.config, request.config.tile
-    names = sorted(
-        {
-            t
-            for s, pose in zip(submaps, places, strict=True)
-            for b in s.boxes
-            for t in b.moved(pose).tiles(size)
-        }
-    )
+    names = sorted({tile for submap in submaps for box in submap.boxes for tile in box.tiles(size)})
     facts = (
         plan.sequence,
         config,
@@ -99,7 +121,7 @@ def build_all(
         frame_of(plan.origin, request.archives[0], request.crs),
         request.out,
     )
-    work = [(tile, parts_of(tile, submaps, places, size), *facts) for tile in names]
+    work = [(tile, parts_of(tile, submaps, size), *facts) for tile in names]
     found: dict[int, TileResult] = {}
     for at, result in each(client, build_tile, work, [f"tile-{tile.name}" for tile in names]):
         found[at] = result
@@ -113,7 +135,7 @@ def score_all(
     client: Client,
     plan: MapPlan,
     groups: Sequence[tuple[Group, Any]],
-    scans: F64,
+    found: Track,
     tiles: list[TileResult],
     request: MapRequest,
     report: Report,
@@ -122,8 +144,7 @@ def score_all(
     """Tally the map, and those of public cleaners, against the labels of the source; return the table's rows."""
     work, at = [], 0
     for group, refs in groups:
-        poses = tuple(scans[at : at + len(refs)].ravel().tolist())
-        work.append((group, refs, poses, request.config, request.out))
+        work.append((group, refs, *found.of(slice(at, at + len(refs))), request.config, request.out))
         at += len(refs)
     truths: dict[int, TruthRef] = {}
     for place, truth in each(client, truth_group, work, [f"truth-{g.number:05d}" for g, _ in groups]):
@@ -143,10 +164,10 @@ def score_all(
     total: dict[str, Tally] = {}
     for _, counts in each(client, tally_tile, jobs, [f"tally-{t.tile.name}" for t in tiles]):
         total = {name: total.get(name, Tally()) + count for name, count in counts.items()}
-    every, poses = [ref for _, refs in groups for ref in refs], tuple(scans.ravel().tolist())
-    rivals = [(name, every, poses, ordered, request.config, request.out) for name in request.rivals]
-    found = {request.rivals[at]: result for at, result in each(client, rival_tally, rivals, request.rivals)}
-    return quality_rows(total, plan, tiles, cpu_s) + rival_rows(plan, found)
+    every, whole = [ref for _, refs in groups for ref in refs], found.of(slice(None))
+    rivals = [(name, every, *whole, ordered, request.config, request.out) for name in request.rivals]
+    beside = {request.rivals[at]: result for at, result in each(client, rival_tally, rivals, request.rivals)}
+    return quality_rows(total, plan, tiles, cpu_s) + rival_rows(plan, beside)
 
 
 def _share(total: int, done: int, of: int) -> int:

@@ -105,7 +105,7 @@ def _crc_of(batch: pa.RecordBatch) -> int:
 
 
 def views_to_table(views: Sequence[View]) -> pa.Table:
-    """Turn views into a table; inverse: :func:`batch_to_view`."""
+    """Turn views into a table; inverse: :func:`table_to_views`."""
     return pa.table(
         [
             [view.pose.ravel().tolist() for view in views],
@@ -116,11 +116,11 @@ def views_to_table(views: Sequence[View]) -> pa.Table:
     )
 
 
-def table_to_views(table: pa.Table, pose: F64) -> list[View]:
-    """Turn a table back into views, moved by the submap's pose in the map."""
+def table_to_views(table: pa.Table) -> list[View]:
+    """Turn a table back into views."""
     return [
         View(
-            pose @ np.array(row["pose"]).reshape(4, 4),
+            np.array(row["pose"]).reshape(4, 4),
             np.array(row["shift"]),
             np.frombuffer(row["clear"], np.uint16).reshape(ROWS, COLUMNS).copy(),
         )

@@ -27,14 +27,11 @@ from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.mapping.build import CARVED, DROPPED, build
 from salpcc.stages.mapping.carve import REACH
 from salpcc.stages.mapping.config import MapConfig
-from salpcc.stages.mapping.poses import move
 from salpcc.stages.mapping.tiles import Tile
 from salpcc.stages.mapping.view import View
 from salpcc.stages.mapping.voxel import Voxels
 
-F64 = NDArray[np.float64]
-
-VERSION = 3
+VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,6 @@ class Part:
     entries: ShardRef
     blocks: tuple[int, ...]
     views: ShardRef | None
-    pose: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -63,17 +59,14 @@ class TileResult:
     peak_mb: float
 
 
-def parts_of(tile: Tile, submaps: Sequence[Submap], poses: Sequence[F64], size: float) -> list[Part]:
+def parts_of(tile: Tile, submaps: Sequence[Submap], size: float) -> list[Part]:
     """Choose what a tile needs: blocks that touch it, views within reach of it."""
     parts: list[Part] = []
-    for submap, pose in zip(submaps, poses, strict=True):
-        blocks = tuple(i for i, box in enumerate(submap.boxes) if tile in box.moved(pose).tiles(size))
-        places = move(np.array(submap.viewed).reshape(-1, 3), pose)
-        near = any(tile.distance(place, size) < REACH for place in places)
+    for submap in submaps:
+        blocks = tuple(i for i, box in enumerate(submap.boxes) if tile in box.tiles(size))
+        near = any(tile.distance(np.array(place), size) < REACH for place in submap.viewed)
         if blocks or near:
-            parts.append(
-                Part(submap.entries, blocks, submap.views if near else None, tuple(pose.ravel().tolist()))
-            )
+            parts.append(Part(submap.entries, blocks, submap.views if near else None))
     return parts
 
 
@@ -139,20 +132,12 @@ def _read_parts(
 ) -> tuple[Voxels, list[View]]:
     entries, views = [], []
     for part in parts:
-        pose = np.array(part.pose).reshape(4, 4)
         if part.blocks:
             batches, facts = read_blocks(store, part.entries, part.blocks)
             for batch in batches:
                 voxels = batch_to_entries(batch, facts["corner"])
-                moved = Voxels(
-                    voxels.xyz if np.array_equal(pose, np.eye(4)) else move(voxels.xyz, pose),
-                    voxels.intensity,
-                    voxels.classes,
-                    voxels.count,
-                    voxels.scans,
-                )
-                entries.append(moved[tile.holds(moved.xyz, config.tile)])
+                entries.append(voxels[tile.holds(voxels.xyz, config.tile)])
         if part.views is not None and config.carve:
-            near = table_to_views(store.read(part.views)[0], pose)
+            near = table_to_views(store.read(part.views)[0])
             views += [v for v in near if tile.distance(v.pose[:3, 3], config.tile) < REACH]
     return Voxels.together(entries), views

@@ -15,6 +15,7 @@ class MapConfig(BaseModel):
     voxel: float = Field(0.1, ge=0.01, le=10)
     min_range: float = Field(2.0, ge=0, description="nearer points are the own car")
     max_range: float = Field(80.0, gt=0, le=500)
+    refine_poses: bool = Field(True, description="refine given poses where scans fit one another better so")
     keep_movable: bool = Field(False, description="keep what the classes call movable")
     carve: bool = Field(True, description="take out what several scans look through")
     fill: bool = Field(False, description="close small holes in the ground, as class SYNTHETIC")

@@ -1,4 +1,4 @@
-"""Odometry: each scan is registered to the map of those before it (VGICP of small-gicp).
+"""Odometry: each scan is registered to the map of those before it (VGICP of small-gicp), de-skewed by what it finds.
 
 Distributions per voxel as target, not nearest points: on the rings of a spinning sensor nearest points pull
 every motion towards none, by 7 % on simulated streets.
@@ -6,24 +6,57 @@ every motion towards none, by 7 % on simulated streets.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain, islice
+from typing import Any
 
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from salpcc.stages.mapping.poses import inverse
+from salpcc.stages.mapping.deskew import deskewed, motion_of, step_of
+from salpcc.stages.mapping.poses import inverse, proper
 
 F64 = NDArray[np.float64]
+Cloud = Any  # small_gicp.PointCloud
 
-_THIN = 0.5  # metres, between the points that are registered
+THIN = 0.7  # metres, between the points that are registered
 _CELL = 1.0  # metres, of the distributions of the target
 _REACH = 1.0  # metres, farther pairs do not count
 _ROUNDS = 30
+_NEIGHBOURS = 10  # that a point's distribution is taken from
 _REMEMBERED = 100  # insertions; cells not met for longer are forgotten, so memory is bounded
 _FEWEST = 100  # thinned points that a registration needs
 _LEAST_OVERLAP = 0.35  # share of the points that found a partner, below which a registration is void
+
+
+@dataclass(frozen=True, eq=False)
+class Thinned:
+    """What of a scan is registered.
+
+    Attributes:
+        number: of its turn.
+        points: ``(N, 3)`` float32 in the sensor's frame, as recorded.
+        before: ``(N,)`` float32, turns by which each was fired before the scan's instant.
+        motion: ``(6,)``, the scan's own, where it was compensated; else None.
+    """
+
+    number: int
+    points: NDArray[np.float32]
+    before: NDArray[np.float32]
+    motion: F64 | None
+
+    @property
+    def compensated(self) -> bool:
+        """Whether nothing is to be de-skewed."""
+        return self.motion is not None
+
+    def at(self, motion: F64) -> F64:
+        """Return its points ``(N, 3)`` de-skewed by the motion ``(6,)`` of a trajectory."""
+        if self.compensated:
+            return self.points.astype(np.float64)
+        return deskewed(self.points, self.before.astype(np.float64), motion)
 
 
 @dataclass(frozen=True)
@@ -35,17 +68,18 @@ class Registered:
     good: bool
 
 
-def start_of(motion: F64 | None, turns: float) -> F64 | None:
-    """Return the pose of a scan ``turns`` turns on, in the frame of the scan before, by its own ``(v, w)``.
-
-    The sensor turns against the azimuth by which ``(v, w)`` counts, hence the signs.
-    """
-    if motion is None:
-        return None
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec(-turns * motion[3:]).as_matrix()
-    pose[:3, 3] = -turns * motion[:3]
-    return pose
+def thin(points: NDArray[np.floating], before: F64) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Thin points ``(N, 3)`` and their ``before`` ``(N,)``: the mean of each cube of :data:`THIN`."""
+    if not len(points):
+        return np.empty((0, 3), np.float32), np.empty(0, np.float32)
+    at = np.floor(points * (1.0 / THIN)).astype(np.int64) + (1 << 20)
+    key = (at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2]
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.concatenate([[True], np.diff(key[order]) != 0]))
+    size = np.diff(np.append(first, len(order)))
+    rows = np.column_stack([points, before]).astype(np.float64)[order]
+    mean = np.add.reduceat(rows, first) / size[:, None]
+    return mean[:, :3].astype(np.float32), mean[:, 3].astype(np.float32)
 
 
 class LocalMap:
@@ -54,44 +88,101 @@ class LocalMap:
     def __init__(self) -> None:
         self._cells = small_gicp.GaussianVoxelMap(_CELL)
         self._cells.set_lru(horizon=_REMEMBERED, clear_cycle=10)
-        self._empty = True
 
-    def register(self, points: NDArray[np.floating], guess: F64) -> Registered:
-        """Find the pose of ``points`` ``(N, 3)`` from a guess, and add them to the map where they fit.
+    def register(self, cloud: Cloud, guess: F64) -> Registered:
+        """Find the pose of a cloud from a guess."""
+        if cloud.size() < _FEWEST:
+            return Registered(guess, 0.0, False)
+        found = small_gicp.align(
+            self._cells, cloud, guess, max_correspondence_distance=_REACH, max_iterations=_ROUNDS
+        )
+        overlap = found.num_inliers / cloud.size()
+        good = bool(found.converged) and overlap >= _LEAST_OVERLAP
+        return Registered(proper(np.asarray(found.T_target_source, np.float64)), overlap, good)
 
-        The first cloud is taken at its guess.
-        """
-        cloud, _ = small_gicp.preprocess_points(points.astype(np.float64), _THIN, 10, 1)
-        pose, overlap, good = guess, 1.0, cloud.size() >= _FEWEST
-        if good and not self._empty:
-            found = small_gicp.align(
-                self._cells, cloud, guess, max_correspondence_distance=_REACH, max_iterations=_ROUNDS
-            )
-            overlap = found.num_inliers / cloud.size()
-            pose = np.asarray(found.T_target_source, np.float64)
-            good = bool(found.converged) and overlap >= _LEAST_OVERLAP
-        if good:
+    def insert(self, cloud: Cloud, pose: F64) -> None:
+        """Add a cloud that was placed."""
+        if cloud.size() >= _FEWEST:
             self._cells.insert(cloud, pose)
-            self._empty = False
-        return Registered(pose, overlap, good)
 
 
-def follow(clouds: list[NDArray[np.floating]], starts: list[F64 | None]) -> list[Registered]:
-    """Register clouds one after the other; the first one's frame is that of the result.
+def follow(clouds: Iterable[Thinned], given: F64 | None = None) -> Iterator[Registered]:
+    """Register clouds one after the other; the first one's frame is that of the results.
 
-    Args:
-        clouds: points ``(N, 3)`` each, in its own sensor's frame.
-        starts: per cloud, its guessed pose in the frame of the one before; None repeats the last motion.
+    Each is tried from its own motion, then from the motion of the one before, then from ``given`` poses ``(n, 4, 4)``. One
+    that fits from none of them is told by ``good``; it stands where given poses, else the motion before, say, and a new map
+    begins there.
     """
+    clouds = iter(clouds)
+    opening = list(islice(clouds, 2))
+    if not opening:
+        return
+    steps = _Steps(given, _first_motion(opening, given))
     target = LocalMap()
-    out: list[Registered] = []
-    step = np.eye(4)
-    for cloud, start in zip(clouds, starts, strict=True):
-        if not out:
-            out.append(target.register(cloud, np.eye(4)))
-            continue
-        before = out[-1].pose
-        found = target.register(cloud, before @ (step if start is None else start))
-        step = inverse(before) @ found.pose
-        out.append(found)
-    return out
+    before: Thinned | None = None
+    pose, at = np.eye(4), 0
+    for at, cloud in enumerate(chain(opening, clouds)):
+        if before is None:
+            found = Registered(pose, 1.0, len(cloud.points) >= _FEWEST)
+        else:
+            found = _place(
+                cloud, pose, steps.guesses(at, before, cloud), target, cloud.number - before.number
+            )
+            if not found.good:
+                target = LocalMap()
+            steps.took(inverse(pose) @ found.pose, cloud.number - before.number)
+        pose = found.pose
+        target.insert(distributions(cloud.at(steps.motion)), pose)
+        yield found
+        before = cloud
+
+
+class _Steps:
+    """Where the next scan may be: by its own motion, the motion before, given poses."""
+
+    def __init__(self, given: F64 | None, motion: F64) -> None:
+        self.given, self.motion = given, motion
+
+    def took(self, step: F64, turns: int) -> None:
+        self.motion = motion_of(step, max(turns, 1))
+
+    def guesses(self, at: int, before: Thinned, cloud: Thinned) -> list[F64]:
+        turns = max(cloud.number - before.number, 1)
+        own = [] if cloud.motion is None else [step_of(cloud.motion, turns)]
+        said = [] if self.given is None else [inverse(self.given[at - 1]) @ self.given[at]]
+        return [*own, step_of(self.motion, turns), *said]
+
+
+def _place(cloud: Thinned, before: F64, guesses: list[F64], target: LocalMap, turns: int) -> Registered:
+    """Register a cloud to the map, from each guess of its step until one holds; twice where it is de-skewed by its step."""
+    found = Registered(before @ guesses[-1], 0.0, False)
+    for step in guesses:
+        found = target.register(distributions(cloud.at(motion_of(step, max(turns, 1)))), before @ step)
+        if found.good and not cloud.compensated:
+            step = inverse(before) @ found.pose
+            found = target.register(distributions(cloud.at(motion_of(step, max(turns, 1)))), found.pose)
+        if found.good:
+            return found
+    return Registered(before @ guesses[-1], found.overlap, False)
+
+
+def _first_motion(opening: list[Thinned], given: F64 | None) -> F64:
+    """Return the motion ``(6,)`` of the first of two clouds: its own, as given poses say, or by which the second fits it."""
+    if opening[0].motion is not None:
+        return opening[0].motion
+    if len(opening) < 2:
+        return np.zeros(6)
+    turns = max(opening[1].number - opening[0].number, 1)
+    if given is not None:
+        return motion_of(inverse(given[0]) @ given[1], turns)
+    target = LocalMap()
+    first, second = (distributions(cloud.at(np.zeros(6))) for cloud in opening)
+    target.insert(first, np.eye(4))
+    return motion_of(target.register(second, np.eye(4)).pose, turns)
+
+
+def distributions(points: F64) -> Cloud:
+    """Return points ``(N, 3)`` with what lies around each of them, to register; an empty cloud of too few."""
+    if len(points) < _FEWEST:
+        return small_gicp.PointCloud(np.empty((0, 3)))
+    return small_gicp.preprocess_points(points, 0.01, _NEIGHBOURS, 1)[0]

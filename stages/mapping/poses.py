@@ -82,6 +82,14 @@ def inverse(pose: F64) -> F64:
     return out
 
 
+def proper(pose: F64) -> F64:
+    """Return the pose nearest to a matrix whose rotation is off by rounding: in a long chain that grows."""
+    out = pose.copy()
+    left, _, right = np.linalg.svd(pose[:3, :3])
+    out[:3, :3] = left @ right
+    return out
+
+
 def _calibration(path: Path) -> F64:
     if not path.is_file():
         raise SourceError(f"{path}: not found; it must stand beside the poses and have a line `Tr:`")

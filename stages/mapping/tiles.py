@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-
-from salpcc.stages.mapping.poses import move
 
 F64 = NDArray[np.float64]
 
@@ -55,11 +52,6 @@ class Box:
         return cls(
             (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
         )
-
-    def moved(self, pose: F64) -> Box:
-        """Return the box around this one, moved."""
-        corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
-        return Box.around(move(corners, pose))
 
     def tiles(self, size: float) -> set[Tile]:
         """Return the tiles that the box touches."""

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from salpcc.stages.mapping.agree import agreement
-from salpcc.stages.mapping.odometry import Registered, follow, start_of
+from salpcc.stages.mapping.odometry import Registered, Thinned, follow, thin
 from salpcc.stages.mapping.poses import inverse, move
 from salpcc.stages.mapping.registration import icp, rotation_error, translation_error
 
@@ -52,27 +52,33 @@ def test_icp_finds_a_motion(street: np.ndarray, method: str) -> None:
     assert rotation_error(found, truth) < 0.02
 
 
+def cloud(number: int, points: np.ndarray) -> Thinned:
+    """A compensated scan that stood still, as far as it knows."""
+    return Thinned(number, *thin(points, np.zeros(len(points))), np.zeros(6))
+
+
 def test_odometry_follows_a_drive(street: np.ndarray) -> None:
     truth = [pose(1.0 * k, 0.02 * k * k, 0.5 * k) for k in range(6)]
-    clouds = [move(street, inverse(p)) for p in truth]
-    found = follow(clouds, [None, pose(0.8), None, None, None, None])
+    clouds = [cloud(k, move(street, inverse(p))) for k, p in enumerate(truth)]
+    found = list(follow(clouds, np.array([pose(0.9 * k) for k in range(6)])))
     assert all(f.good for f in found)
     assert translation_error(found[-1].pose, truth[-1]) < 0.05
     assert rotation_error(found[-1].pose, truth[-1]) < 0.1
 
 
-def test_odometry_says_where_it_is_lost(street: np.ndarray) -> None:
+def test_odometry_says_where_it_is_lost_and_goes_on_from_there(street: np.ndarray) -> None:
     elsewhere = street[:, [1, 0, 2]] * [3.0, 0.4, 2.0] + [0, 0, 4.0]
-    assert [f.good for f in follow([street, elsewhere], [None, None])] == [True, False]
+    clouds = [cloud(0, street), cloud(1, elsewhere), cloud(2, move(elsewhere, inverse(pose(0.5))))]
+    said = np.array([pose(0), pose(7.0), pose(7.4)])
+    found = list(follow(clouds, said))
+    assert [f.good for f in found] == [True, False, True]
+    np.testing.assert_allclose(found[1].pose, said[1])
+    assert translation_error(found[2].pose, pose(7.5)) < 0.05
 
 
-def test_start_is_the_motion_backwards() -> None:
-    motion = np.array([-0.8, 0.01, 0.0, 0.0, 0.0, -0.02])
-    start = start_of(motion, 2)
-    assert start is not None
-    np.testing.assert_allclose(start[:3, 3], [1.6, -0.02, 0])
-    np.testing.assert_allclose(Rotation.from_matrix(start[:3, :3]).as_rotvec(), [0, 0, 0.04])
-    assert start_of(None, 1) is None
+def test_a_long_chain_stays_one_of_rotations(street: np.ndarray) -> None:
+    rotations = np.array([f.pose[:3, :3] for f in follow([cloud(k, street) for k in range(30)])])
+    assert np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
 
 
 def test_agreement_tells_right_poses_from_others() -> None:

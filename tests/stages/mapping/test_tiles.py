@@ -1,4 +1,4 @@
-"""Tiles: every point lies in one, blocks part all points, boxes find what they touch."""
+"""Tiles: every point lies in one, blocks part all points, a box finds what it touches."""
 
 from __future__ import annotations
 
@@ -20,18 +20,6 @@ def test_blocks_part_the_points() -> None:
         assert tile.holds(xyz[part], 50.0).all()
         assert tile in Box.around(xyz[part]).tiles(50.0)
     assert blocks_of(xyz[:0], 50.0) == []
-
-
-def test_a_moved_box_holds_the_moved_points() -> None:
-    xyz = points(1)
-    angle = 0.7
-    pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    pose[:3, 3] = 300, -70, 5
-    moved = xyz @ pose[:3, :3].T + pose[:3, 3]
-    box = Box.around(xyz).moved(pose)
-    assert (moved >= np.array(box.low) - 1e-9).all() and (moved <= np.array(box.high) + 1e-9).all()
-    assert {tile for tile, _ in blocks_of(moved, 50.0)} <= box.tiles(50.0)
 
 
 def test_distance_is_that_to_the_square() -> None:
