@@ -84,12 +84,12 @@ def choose(residuals: dict[str, float | None]) -> str:
 
 
 def _scale(found: F64, given: F64) -> float:
-    """Compare the lengths of straight stretches of two ways ``(n, 3)``; 1 where nobody drove."""
+    """Compare the lengths of straight stretches of two ways ``(n, 3)``; 1 where nobody drove far."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(found, axis=0), axis=1))])
-    if way[-1] < 1.0:
-        return 1.0
-    ends = np.searchsorted(way, way + min(_CHORD, 0.5 * way[-1]))
+    ends = np.searchsorted(way, way + _CHORD)
     starts = np.flatnonzero(ends < len(way))
+    if not len(starts):
+        return 1.0
     ends = ends[starts]
     ratio = np.linalg.norm(given[ends] - given[starts], axis=1) / np.linalg.norm(
         found[ends] - found[starts], axis=1
