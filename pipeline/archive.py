@@ -32,6 +32,7 @@ from salpcc.stages.residual_code.archive.format import ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.salvage import Salvage
 from salpcc.stages.residual_code.gop import decode_any, layered_scan, scan_of
+from salpcc.stages.residual_code.label_coder import labelled
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 
@@ -56,12 +57,15 @@ def check_layers(reader: ArchiveReader, layers: Layers) -> None:
         raise UsageError(f"{reader.path}: has no movable layer; what may move {what}")
 
 
-def decode_scans(reader: ArchiveReader | Salvage, gop: int, layers: Layers = "all") -> Iterator[Scan]:
+def decode_scans(
+    reader: ArchiveReader | Salvage, gop: int, layers: Layers = "all", labels: bool = False
+) -> Iterator[Scan]:
     """Decode the scans of one GOP, one after the other.
 
     Args:
         layers: ``static`` reads no byte of the movable layer's chunks; ``all`` is the scans as they were recorded, as far
             as the archive holds them.
+        labels: decode the labels that the archive holds, too.
 
     Raises:
         ArchiveError: a payload is damaged, or the movable layer asked for is gone; the message names the first scan that
@@ -73,7 +77,7 @@ def decode_scans(reader: ArchiveReader | Salvage, gop: int, layers: Layers = "al
         movable = reader.movable_payloads(gop)
         pairs = zip_longest(payloads, movable[: len(payloads)])
         payloads = [replace(payload, movable=layer) for payload, layer in pairs]
-    scans = decoded_scans(payloads, reader.facts.sensor, layered, alone=layers == "movable")
+    scans = decoded_scans(payloads, reader.facts.sensor, layered, layers == "movable", labels)
     for payload in payloads:
         try:
             yield next(scans)
@@ -84,12 +88,13 @@ def decode_scans(reader: ArchiveReader | Salvage, gop: int, layers: Layers = "al
 
 
 def decoded_scans(
-    payloads: list[ScanPayload], sensor: SensorModel, layered: bool, alone: bool = False
+    payloads: list[ScanPayload], sensor: SensorModel, layered: bool, alone: bool = False, labels: bool = False
 ) -> Iterator[Scan]:
     """Decode the payloads of one GOP.
 
     Args:
         layered: take their movable layers, too; ``alone``: give these only.
+        labels: decode the labels, where there are some.
 
     Raises:
         ArchiveError: the next payload is damaged, or lacks its movable layer.
@@ -97,11 +102,15 @@ def decoded_scans(
     state = GopState(sensor)
     sweeps = decode_any((payload.data for payload in payloads), sensor)
     for payload, sweep in zip(payloads, sweeps, strict=False):
+        if labels and isinstance(sweep, Sweep):
+            sweep = labelled(sweep, payload.labels, sensor)
         if layered:
             if payload.movable is None:
                 raise ArchiveError("its movable layer is gone; --layers static gives what is left")
             assert isinstance(sweep, Sweep)
             moving = decode_scan(payload.movable.data, sensor, state, sweep)
+            if labels:
+                moving = labelled(moving, payload.movable.labels, sensor)
             scan = layered_scan(sweep, moving, sensor, alone)
         else:
             scan = scan_of(sweep, sensor)
@@ -109,7 +118,11 @@ def decoded_scans(
 
 
 def decode_groups(
-    reader: ArchiveReader | Salvage, gops: Iterable[int], threads: int = 1, layers: Layers = "all"
+    reader: ArchiveReader | Salvage,
+    gops: Iterable[int],
+    threads: int = 1,
+    layers: Layers = "all",
+    labels: bool = False,
 ) -> Iterator[Iterator[Scan]]:
     """Decode GOPs, one iterator of scans for each; with several threads, as many GOPs at once.
 
@@ -118,13 +131,13 @@ def decode_groups(
     with any number; an iterator raises what :func:`decode_scans` does, after the same scans.
     """
     if threads <= 1:
-        yield from (decode_scans(reader, gop, layers) for gop in gops)
+        yield from (decode_scans(reader, gop, layers, labels) for gop in gops)
         return
     ahead: deque[Future[tuple[list[Scan], Exception | None]]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
             for gop in gops:
-                ahead.append(pool.submit(_decoded, reader, gop, layers))
+                ahead.append(pool.submit(_decoded, reader, gop, layers, labels))
                 if len(ahead) > threads:
                     yield _given(*ahead.popleft().result())
             while ahead:
@@ -135,11 +148,11 @@ def decode_groups(
 
 
 def _decoded(
-    reader: ArchiveReader | Salvage, gop: int, layers: Layers
+    reader: ArchiveReader | Salvage, gop: int, layers: Layers, labels: bool
 ) -> tuple[list[Scan], Exception | None]:
     scans: list[Scan] = []
     try:
-        scans.extend(decode_scans(reader, gop, layers))  # keeps those before an error
+        scans.extend(decode_scans(reader, gop, layers, labels))  # keeps those before an error
     except Exception as error:  # noqa: BLE001 (whoever asks for the scan gets it)
         return scans, error
     return scans, None
@@ -160,6 +173,7 @@ def _detached(scan: Scan) -> Scan:
         classes=None if scan.classes is None else scan.classes.copy(),
         motion=None if scan.motion is None else scan.motion.copy(),
         movable=None if scan.movable is None else scan.movable.copy(),
+        labels=None if scan.labels is None else scan.labels.copy(),
         cloud=scan.cloud and replace(scan.cloud, rest=scan.cloud.rest.copy()),
     )
 
@@ -260,6 +274,23 @@ class Archive(Sequence[Scan]):
         """Yield the log's messages that are no scans, untouched, in its order."""
         return self._reader.passing()
 
+    @property
+    def side(self) -> list[str]:
+        """Names of the side files that it holds, such as ``poses.txt``."""
+        return list(self._reader.side)
+
+    def side_file(self, name: str) -> bytes:
+        """Return the content of a side file.
+
+        Raises:
+            KeyError: it holds none of that name.
+            ArchiveError: it is damaged.
+        """
+        if name not in self._reader.side:
+            held = ", ".join(self.side) or "none"
+            raise KeyError(f"side file {name} is not in {self._reader.path}, which holds {held}")
+        return self._reader.side_file(name).data
+
     def enclosed(self) -> Iterator[Enclosed]:
         """Yield the log's attachments and metadata, in its order."""
         return self._reader.enclosed()
@@ -295,7 +326,8 @@ class Archive(Sequence[Scan]):
             raise IndexError(f"scan {index} of {len(self)}")
         gop, place = self._places[index]
         if gop != self._gop:
-            self._gop, self._decoded, self._decoder = gop, [], decode_scans(self._reader, gop, self._layers)
+            decoder = decode_scans(self._reader, gop, self._layers, labels=True)
+            self._gop, self._decoded, self._decoder = gop, [], decoder
         try:
             while len(self._decoded) <= place:
                 self._decoded.append(next(self._decoder))
@@ -306,7 +338,7 @@ class Archive(Sequence[Scan]):
 
     def __iter__(self) -> Iterator[Scan]:
         gops = range(len(self._reader.gops))
-        for scans in decode_groups(self._reader, gops, self._threads, self._layers):
+        for scans in decode_groups(self._reader, gops, self._threads, self._layers, labels=True):
             yield from map(_detached, scans)
 
     def __getstate__(self) -> dict[str, Any]:

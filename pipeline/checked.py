@@ -25,10 +25,12 @@ def checked(scans: Iterable[Scan], config: RunConfig) -> Iterator[Scan]:
         UsageError: one is no scan that could come back as it is; the message names it and the remedy.
     """
     seen: set[str] = set()
+    labelled: bool | None = None
     for scan in scans:
         if not isinstance(scan, Scan):
             raise UsageError(f"{type(scan).__name__} is no Scan; make one: Scan(name, points, intensity)")
         where = f"scan {scan.name!r}"
+        labelled = scan.labels is not None if labelled is None else labelled
         check_name(scan.name, "scan")
         if scan.name in seen:
             raise UsageError(f"{where}: there is one of that name already")
@@ -53,6 +55,7 @@ def checked(scans: Iterable[Scan], config: RunConfig) -> Iterator[Scan]:
             intensity=intensity,
             time=int(scan.time),
             classes=_classes(scan.classes, len(points), where, config.labels == "given"),
+            labels=_labels(scan.labels, len(points), where, labelled) if config.stores_labels else None,
         )
 
 
@@ -84,6 +87,21 @@ def _float32(values: Any, what: str) -> NDArray[np.float32]:
             "them, or round them yourself: .astype(numpy.float32)"
         )
     return narrow
+
+
+def _labels(values: Any, n_points: int, where: str, wanted: bool) -> NDArray[np.uint32] | None:
+    if (values is not None) != wanted:
+        had = "have" if wanted else "have none"
+        raise UsageError(f"{where}: labels {'missing' if wanted else 'given'}, and the scans before {had}")
+    if values is None:
+        return None
+    array = np.asarray(values)
+    sound = array.shape == (n_points,) and array.dtype.kind in "iu"
+    if not sound or (n_points and not 0 <= int(array.min()) <= int(array.max()) < 1 << 32):
+        raise UsageError(
+            f"{where}: labels {array.dtype} of shape {array.shape}; they are whole numbers ({n_points},) of 32 bits"
+        )
+    return np.ascontiguousarray(array, np.uint32)
 
 
 def _classes(values: Any, n_points: int, where: str, needed: bool) -> NDArray[np.uint8] | None:

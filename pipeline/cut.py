@@ -103,7 +103,8 @@ def write_part(
     counts = Counts()
     gops = (part for gop, wanted in enumerate(names) if (part := taken(reader, gop, wanted, counts)))
     # Without its inputs no run takes it for the archive that it would make.
-    write_archive(out, replace(facts, inputs="", config=config), gops, log)
+    side = map(reader.side_file, reader.side)
+    write_archive(out, replace(facts, inputs="", config=config), gops, log, side)
     return counts
 
 

@@ -36,7 +36,7 @@ class DecodedGroups:
         with self._lock:
             group = self._groups.get(key)
             if group is None:
-                group = self._groups[key] = _Group(decode_scans(reader, gop, self.layers))
+                group = self._groups[key] = _Group(decode_scans(reader, gop, self.layers, labels=True))
                 self.decoded += 1
             self._groups.move_to_end(key)
             while len(self._groups) > self.most:

@@ -10,32 +10,40 @@ beneath the file system. ``verify --against`` believes no mark: it reads every b
 from __future__ import annotations
 
 import hashlib
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 from salpcc.pipeline.plan import SequencePlan
+from salpcc.pipeline.side_files import read_side
+from salpcc.schemas.config import RunConfig
+from salpcc.schemas.errors import LogWarning
 from salpcc.schemas.files import location, reading, unreachable
 from salpcc.schemas.marks import at_rest, mark, marks
 from salpcc.schemas.work import GopSource, Known, ScanRef
 from salpcc.stages.ingest.sources.bag import digest_log, log_files, log_mark
 
 
-def recall(plan: SequencePlan, known: Known, with_labels: bool) -> SequencePlan:
+def recall(plan: SequencePlan, known: Known, config: RunConfig) -> SequencePlan:
     """Fill in the digests that are on record and hold; that of a log, which all its messages share, in any case.
 
     Args:
         known: by name of a file, the mark and digest on record.
 
     Raises:
-        SourceError: the log cannot be read.
+        SourceError: the log, or a side file, cannot be read.
+
+    Warns:
+        LogWarning: of a side file that is no text and stays behind.
     """
+    plan = _recall_side(plan, known)
     refs = [ref for gop in plan.gops for ref in gop.scans]
     if refs[0].topic:
         holds = _of_log(location(refs[0].path), known)
         digests = {refs[0].path: holds[1]}
         still = {Path(refs[0].path).name: holds} if holds[0] else {}
     elif known:
-        labels = {ref.labels for ref in refs if ref.labels} if with_labels else set()
+        labels = {ref.labels for ref in refs if ref.labels and config.reads_labels(ref)}
         paths = [location(name) for name in sorted({ref.path for ref in refs} | labels)]
         found = {path: now for path, now in marks(paths).items() if known.get(path.name, ("", ""))[0] == now}
         digests = {str(path): known[path.name][1] for path in found}
@@ -48,12 +56,35 @@ def recall(plan: SequencePlan, known: Known, with_labels: bool) -> SequencePlan:
         return replace(ref, digest=digests.get(ref.path, ""), labels_digest=labels_digest)
 
     gops = tuple(replace(gop, scans=tuple(told(ref) for ref in gop.scans)) for gop in plan.gops)
-    return replace(plan, gops=gops, known=still)
+    return replace(plan, gops=gops, known=plan.known | still)
 
 
-def all_known(gop: GopSource, with_labels: bool) -> bool:
+def _recall_side(plan: SequencePlan, known: Known) -> SequencePlan:
+    """The digests of side files: those on record that hold, the others by reading; what is no text is left out."""
+    paths = {ref.name: location(ref.path) for ref in plan.side}
+    now = marks(paths.values())
+    side, learned = [], {}
+    for ref in plan.side:
+        path, key = paths[ref.name], f"side:{ref.name}"
+        if key in known and known[key][0] == now.get(path):
+            learned[key] = known[key]
+        else:
+            data = read_side(ref)
+            if b"\0" in data:
+                warnings.warn(f"{path}: no text, so it stays behind", LogWarning, stacklevel=2)
+                continue
+            digest = hashlib.sha256(data).hexdigest()
+            learned[key] = now[path] if at_rest(path) else "", digest
+        side.append(replace(ref, digest=learned[key][1]))
+    return replace(plan, side=tuple(side), known={key: row for key, row in learned.items() if row[0]})
+
+
+def all_known(gop: GopSource, config: RunConfig) -> bool:
     """Tell whether no file of a GOP has to be read for its digest."""
-    return all(ref.digest and (ref.labels_digest or not (with_labels and ref.labels)) for ref in gop.scans)
+    return all(
+        ref.digest and (ref.labels_digest or not (ref.labels and config.reads_labels(ref)))
+        for ref in gop.scans
+    )
 
 
 def digest_scan(ref: ScanRef, with_labels: bool) -> tuple[list[str], Known]:

@@ -69,7 +69,8 @@ def encode_scans(
         raise UsageError(f"{target}: there are no scans to encode")
     sensor = load_sensor(config.sensor)
     layered = config.movable == "layered"
-    facts = ArchiveFacts(sequence, "arrays", "", config.coding, sensor, layered)
+    labelled = config.stores_labels and first_scan.labels is not None
+    facts = ArchiveFacts(sequence, "arrays", "", config.coding, sensor, layered, labelled)
     write_archive(target, facts, _gops(chain([first_scan], coming), config))
     return target
 
@@ -100,8 +101,9 @@ def payloads_of(table: pa.Table) -> list[ScanPayload]:
     """Take the coded scans out of a PAYLOAD table."""
 
     def payload(layer: dict[str, Any], row: dict[str, Any], movable: ScanPayload | None) -> ScanPayload:
-        entry = ScanEntry(row["name"], **{name: layer[name] for name in LAYER_COUNTS})
-        return ScanPayload(entry, row["time"], row["frame_id"], layer["data"], movable)
+        labels = layer["coded_labels"]
+        entry = ScanEntry(row["name"], **{name: layer[name] for name in LAYER_COUNTS}, labels=len(labels))
+        return ScanPayload(entry, row["time"], row["frame_id"], layer["data"], movable, labels)
 
     return [
         payload(row, row, row["movable"] and payload(row["movable"], row, None))
@@ -130,7 +132,7 @@ def _decode_again(
     """
     verdict = Verdict("", "", asked_max_error_m=config.max_error)
     layered = config.movable == "layered"
-    for back, scan in zip(decoded_scans(payloads, sensor, layered), scans, strict=True):
+    for back, scan in zip(decoded_scans(payloads, sensor, layered, labels=True), scans, strict=True):
         compare(back, scan, "the scan given", config.coding, verdict, config.movable == "dropped")
     if verdict.problems:
         raise ArchiveError(f"not written, as it would not come back right: {verdict.problems[0]}")

@@ -129,8 +129,7 @@ class Graph:
         """Queue the GOPs of a sequence, or only its evaluation where the archive is done."""
         options = self._options
         record = recorded(self._out, outcome.plan.sequence)
-        given = self._config.labels == "given"
-        outcome.plan = plan = recall(outcome.plan, record.get("files", {}), given)
+        outcome.plan = plan = recall(outcome.plan, record.get("files", {}), self._config)
         archive = archive_path(self._out, plan.sequence)
         if options.reaches("residual_code") and archive.is_file():
             digests = self._digests(plan)
@@ -141,7 +140,7 @@ class Graph:
             if reusable and finished(plan, digests, record, self._config, self._out):
                 outcome.record = record
             else:
-                outcome.plan = plan = recall(plan, known_files(plan, digests), given)
+                outcome.plan = plan = recall(plan, known_files(plan, digests), self._config)
         if outcome.record is not None:
             self._report.advance(plan.n_scans, f"{plan.sequence}: archive is done")
             self._jobs.extend(self._evaluation(outcome))
@@ -151,8 +150,7 @@ class Graph:
 
     def _digests(self, plan: SequencePlan) -> list[GopResult]:
         """Digest the source of each GOP; where files have to be read, workers do it."""
-        given = self._config.labels == "given"
-        unread = [gop for gop in plan.gops if not all_known(gop, given)]
+        unread = [gop for gop in plan.gops if not all_known(gop, self._config)]
         futures = self._client.map(source_digest, unread, config=self._config, pure=False)
         read = {gop.number: self._value(future) for gop, future in zip(unread, futures, strict=True)}
         return [read.get(gop.number) or source_digest(gop, self._config) for gop in plan.gops]

@@ -44,6 +44,8 @@ def inspect_archive(path: Path) -> dict[str, Any]:
         "topics": sorted({channel.topic for channel in reader.log.values()}),
         "movable": reader.movable,
         "layers": layer_sizes(reader),
+        "side_files": reader.side,
+        "bytes_labels": reader.labels_bytes,
         "totals": {name: sum(scan[name] for scan in scans) for name in counts},
         "rows": scans,
     }

@@ -1,4 +1,4 @@
-"""Write decoded scans as a sequence of SemanticKITTI: scans, labels, times."""
+"""Write decoded scans as a sequence of SemanticKITTI: scans, labels, and the small files beside them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from salpcc.stages.ingest.sources.frame_lines import frame_lines
 def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_silence) -> Iterator[Path]:
     """Write ``velodyne/NAME.bin``, the files that an archive was made from, below ``out/sequences/SEQ``.
 
-    Beside them what it holds else: the classes as ``labels/NAME.label`` (without instances, which no archive holds),
-    the times in ``times.txt``. It holds no poses.
+    Beside them ``labels/NAME.label`` as they were, or made of the classes where it holds these only, and the side files
+    (times, poses, calibration) as they were. Without side files the times go to ``times.txt``.
 
     Raises:
-        UsageError: other labels are there, that these must not replace.
+        UsageError: other labels or side files are there, that these must not replace.
     """
     folder = out / "sequences" / archive.sequence
     columns = archive.config.get("columns", 4)
@@ -34,10 +34,12 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         with atomic(path) as stream:
             stream.write(scan_bytes(scan, columns))
         if (labels := label_bytes(scan)) is not None:
-            _write_labels(folder / "labels" / f"{scan.name}.label", labels)
+            _write_new(folder / "labels" / f"{scan.name}.label", labels, "labels are")
         times[scan.name] = scan.time
         yield path
-    if times:
+    for name in archive.side if times else ():
+        _write_new(folder / name, archive.side_file(name), "content is")
+    if times and not archive.side:
         _write_times(folder / "times.txt", times, tell)
     if behind:
         tell(
@@ -45,11 +47,11 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         )
 
 
-def _write_labels(path: Path, labels: bytes) -> None:
-    if path.is_file() and path.read_bytes() != labels:
-        raise UsageError(f"{path}: other labels are there; name an empty folder with --out")
+def _write_new(path: Path, data: bytes, what: str) -> None:
+    if path.is_file() and path.read_bytes() != data:
+        raise UsageError(f"{path}: other {what} there; name an empty folder with --out")
     with atomic(path) as stream:
-        stream.write(labels)
+        stream.write(data)
 
 
 def _write_times(path: Path, times: dict[str, int], tell: Tell) -> None:

@@ -18,8 +18,11 @@ def scan_bytes(scan: Scan, columns: int = 4) -> bytes:
 
 
 def label_bytes(scan: Scan) -> bytes | None:
-    """Return ``labels/NAME.label``, without instances; None where nothing is known of classes."""
-    return None if scan.classes is None else labels_of_classes(scan.classes).astype("<u4").tobytes()
+    """Return ``labels/NAME.label``: its labels as they were, else those of its classes; None where neither is known."""
+    labels = scan.labels
+    if labels is None and scan.classes is not None:
+        labels = labels_of_classes(scan.classes)
+    return None if labels is None else labels.astype("<u4").tobytes()
 
 
 def times_bytes(times: Mapping[str, int], lines: Sequence[str] = ()) -> bytes | None:

@@ -13,6 +13,7 @@ from salpcc.schemas.log import LogChannel, LogMessage, known_as
 from salpcc.stages.residual_code.archive.format import ScanPayload
 from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
 
 
@@ -41,10 +42,31 @@ def merge(paths: list[Path], out: Path) -> Counts:
         numbers = [int(name.rpartition("-")[2]) for gops in named for gop in gops for name in gop]
         config = config | {"frames": [min(numbers, default=0), max(numbers, default=0) + 1]}
     sequence = first.facts.sequence if len(sequences) == 1 else out.stem
-    facts = replace(first.facts, inputs="", sequence=sequence, config=config)
-    counts = Counts()
-    write_archive(out, facts, _gops(readers, named, counts), _log(readers))
+    labels = any(reader.facts.labels for reader in readers)
+    facts = replace(first.facts, inputs="", sequence=sequence, config=config, labels=labels)
+    counts, side = Counts(), _side(readers, apart=len(sequences) > 1)
+    write_archive(out, facts, _gops(readers, named, counts), _log(readers), side)
     return counts
+
+
+def _side(readers: list[ArchiveReader], apart: bool) -> list[SideFile]:
+    """The side files of all archives; of several sequences each in a folder with the name of its sequence.
+
+    Raises:
+        UsageError: two archives of a sequence have one of other content.
+    """
+    found: dict[str, tuple[SideFile, ArchiveReader]] = {}
+    for reader in readers:
+        for name in reader.side:
+            file = reader.side_file(name)
+            if apart:
+                file = replace(file, name=f"{reader.facts.sequence}/{name}")
+            held, holder = found.setdefault(file.name, (file, reader))
+            if held != file:
+                raise UsageError(
+                    f"{reader.path}: another {name} than in {holder.path}; one archive cannot hold both"
+                )
+    return [file for file, _ in found.values()]
 
 
 def _check_alike(one: ArchiveReader, other: ArchiveReader) -> None:

@@ -7,20 +7,22 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from salpcc.pipeline.records import recorded
+from salpcc.pipeline.side_files import list_side
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.schemas.work import GopSource, Known, ScanError, ScanRef
+from salpcc.schemas.work import GopSource, Known, ScanError, ScanRef, SideRef
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.bag import Bag, find_log, log_mark
 
 
 @dataclass(frozen=True)
 class SequencePlan:
-    """The GOPs of one sequence, in order; ``known`` are the digests that were not read again."""
+    """The GOPs of one sequence, in order; ``known`` are the digests that were not read again, ``side`` the files beside."""
 
     sequence: str
     gops: tuple[GopSource, ...]
     known: Known = field(default_factory=dict)
+    side: tuple[SideRef, ...] = ()
 
     @property
     def n_scans(self) -> int:
@@ -60,7 +62,8 @@ def plan_run(
         except SourceError as error:
             missing.append(ScanError(sequence, "", "ingest", str(error)))
             continue
-        plans.append(SequencePlan(sequence, cut(config.source, sequence, refs, config.gop)))
+        side = list_side(config.source, root, sequence, listed) if config.side_files else ()
+        plans.append(SequencePlan(sequence, cut(config.source, sequence, refs, config.gop), side=side))
     if not plans and config.source == "bag":
         raise UsageError(missing[0].reason)
     if not plans:

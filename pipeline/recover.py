@@ -63,6 +63,18 @@ def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recover
                 found.notes.append(
                     f"movable layer gone of scan {', '.join(bare)}; --layers static has the rest"
                 )
+        unlabelled = [
+            payload.entry.name
+            for payload in payloads
+            if (not payload.labels and source.had_labels(payload.entry.name, False))
+            or (
+                payload.movable is not None
+                and not payload.movable.labels
+                and source.had_labels(payload.entry.name, True)
+            )
+        ]
+        if unlabelled:
+            found.notes.append(f"labels gone of scan {', '.join(unlabelled)}")
         gops.append(payloads)
         found.scans += len(payloads)
         came = {payload.entry.name for payload in payloads}
@@ -72,6 +84,9 @@ def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recover
     if not source.all_known:
         last = next((payload.entry.name for gop in reversed(gops) for payload in gop[-1:]), "none")
         found.notes.append(f"the index is gone: what came after scan {last} is gone, too, if anything did")
+    side, lost = source.side_files()
+    if lost:
+        found.notes.append(f"{lost} side files are gone")
     log, damaged = source.passing_log()
     if damaged:
         found.notes.append(f"{damaged} chunks or attachments of the rest of the log are gone")
@@ -79,7 +94,7 @@ def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recover
         raise ArchiveError(f"{path}: no scan of it is whole")
     # Without its inputs no run takes it for an archive that is finished.
     facts = replace(source.facts, inputs=_inputs(path) if found.complete else "")
-    write_archive(out, facts, gops, log)
+    write_archive(out, facts, gops, log, side)
     return found
 
 

@@ -28,11 +28,13 @@ from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_gop, encode_movable
+from salpcc.stages.residual_code.label_coder import encode_labels, labelled
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 from salpcc.stages.segment.task import keep
 
 VERSION = 1
+_UNFIT = "labels/"  # side files that hold labels which belong to no point, so nobody knows of what they tell
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,8 @@ def redact(path: Path, out: Path, selection: Selection | None = None) -> dict[st
     # Without its inputs no run takes it for the archive that it would make.
     facts = replace(reader.facts, inputs="")
     log = PassingLog(reader.log.values(), reader.passing(), reader.enclosed()) if reader.log else None
-    write_archive(out, facts, _gops(reader, selection), log)
+    side = (reader.side_file(name) for name in reader.side if not name.startswith(_UNFIT))
+    write_archive(out, facts, _gops(reader, selection), log, side)
     manifest = {"version": VERSION, "tool": TOOL, "redacted": _told(selection)} | chunk_hashes(reader)
     with atomic(manifest_path(out)) as stream:
         stream.write(json.dumps(manifest, indent=1).encode() + b"\n")
@@ -175,16 +178,19 @@ def _coded_anew(
     pairs: list[tuple[Sweep, Sweep]] = []
     statics = decode_gop((payload.data for payload in payloads), sensor)
     for layer, static, some in zip(layers, statics, concerned, strict=False):
-        movable = decode_scan(layer.data, sensor, state, static)
+        movable = labelled(decode_scan(layer.data, sensor, state, static), layer.labels, sensor)
         pairs.append((static, _without(static, movable, sensor, selection) if some else movable))
     effort = str(reader.facts.config.get("effort", "default"))
     coded = []
     for layer, (_, movable), payload in zip(
         layers, pairs, encode_movable(pairs, sensor, effort), strict=True
     ):
-        strays = len(movable.stray_index)
-        entry = ScanEntry(layer.entry.name, movable.n_points, len(movable), 0, strays, **payload.sizes)
-        coded.append(replace(layer, entry=entry, data=payload.data))
+        labels = encode_labels(movable, sensor) if movable.labels is not None else b""
+        entry = ScanEntry(
+            layer.entry.name, movable.n_points, len(movable), 0, len(movable.stray_index), **payload.sizes,
+            labels=len(labels),
+        )  # fmt: skip
+        coded.append(replace(layer, entry=entry, data=payload.data, labels=labels))
     return coded
 
 

@@ -18,6 +18,7 @@ from salpcc.pipeline.logs import passing_log
 from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.plan import SequencePlan
 from salpcc.pipeline.records import write_record
+from salpcc.pipeline.side_files import side_files, unfit_labels
 from salpcc.pipeline.store import ShardStore
 from salpcc.pipeline.tasks import GopResult, lost
 from salpcc.schemas.config import RunConfig
@@ -37,6 +38,7 @@ from salpcc.stages.ingest.sources.bag import clouds_of
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
 
 _warm: set[str] = set()  # efforts that this process has decoded
@@ -52,7 +54,10 @@ def inputs_digest(plan: SequencePlan, results: list[GopResult], config: RunConfi
     source = plan.gops[0].source
     # Of a log, the frames decide what passes through, too, also where they are all there are.
     frames = [config.frames] if config.frames and plan.gops[0].scans[0].topic else []
-    return digest_of(plan.sequence, source, config.digest, [result.origin for result in results], *frames)
+    side = [[[ref.name, ref.digest] for ref in plan.side]] if plan.side else []
+    return digest_of(
+        plan.sequence, source, config.digest, [result.origin for result in results], *frames, *side
+    )
 
 
 def finished(
@@ -114,12 +119,23 @@ def finish(
         config.coding | of_log,
         load_sensor(config.sensor),
         config.movable == "layered",
+        config.stores_labels and any(ref.labels for gop in plan.gops for ref in gop.scans),
     )
-    payloads = (
-        _payloads(store, result, _dropped_ref(store, gop, record["inputs"]))
-        for gop, result in zip(plan.gops, results, strict=True)
-    )
-    write_archive(archive_path(out, plan.sequence), facts_, payloads, log)
+    unlabelled: list[ScanRef] = []
+
+    def payloads() -> Iterator[list[ScanPayload]]:
+        for gop, result in zip(plan.gops, results, strict=True):
+            coded = _payloads(store, result, _dropped_ref(store, gop, record["inputs"]))
+            bare = {payload.entry.name for payload in coded if not payload.labels}
+            unlabelled.extend(ref for ref in gop.scans if ref.labels and ref.name in bare)
+            yield coded
+
+    def side() -> Iterator[SideFile]:
+        # Labels that fit no points are kept as they are, but not those of points that were dropped.
+        unfit = unlabelled if config.stores_labels and config.movable != "dropped" else []
+        yield from side_files([*plan.side, *filter(None, map(unfit_labels, unfit))])
+
+    write_archive(archive_path(out, plan.sequence), facts_, payloads(), log, side())
     return record
 
 

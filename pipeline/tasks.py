@@ -50,7 +50,7 @@ def source_digest(gop: GopSource, config: RunConfig) -> GopResult:
         if ref.topic:
             parts.append([ref.name, ref.number, ref.time, ref.topic, ref.at, ref.digest])
             continue
-        digests, more = digest_scan(ref, config.labels == "given")
+        digests, more = digest_scan(ref, config.reads_labels(ref))
         parts.append([ref.name, ref.number, ref.time, *digests])
         learned |= more
     digest = digest_of(*parts)

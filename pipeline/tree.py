@@ -85,10 +85,14 @@ class ArchiveTree:
                 scan = partial(self.groups.scan, reader, gop, place)
                 bin_ = partial(_points, scan, columns)
                 yield f"velodyne/{entry.name}.bin", TreeFile(4 * columns * entry.kept, time, bin_)
-                if entry.classes:
+                if entry.classes or entry.labels:
                     label = TreeFile(4 * entry.kept, time, partial(_labels, scan))
                     yield f"labels/{entry.name}.label", label
-        if times and (text := times_bytes(times)):
+        if times and reader.side:
+            for name in reader.side:  # small, and nothing but its content tells how long it is
+                content = reader.side_file(name).data
+                yield name, TreeFile(len(content), max(times.values()), partial(bytes, content))
+        elif times and (text := times_bytes(times)):
             yield "times.txt", TreeFile(len(text), max(times.values()), lambda: text)
 
     def _list(self, name: str) -> None:

@@ -14,6 +14,7 @@ from salpcc.pipeline.archive import decode_groups
 from salpcc.pipeline.logs import compare_log
 from salpcc.pipeline.plan import missing_root
 from salpcc.pipeline.redact import check_redacted
+from salpcc.pipeline.side_files import compare_side
 from salpcc.schemas.config import GRID_ACCURACY
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
@@ -24,6 +25,7 @@ from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits
 from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.ingest.sources.label_files import labels_that_fit
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
@@ -41,6 +43,8 @@ class Verdict:
     points_dropped: int = 0
     movable: str = ""
     layers: dict[str, dict[str, int]] | None = None
+    labelled_scans: int = 0
+    side_files: int = 0
     passed_messages: int | None = None
     max_error_m: float | None = None
     problems: list[str] = field(default_factory=list)
@@ -72,6 +76,7 @@ def verify(
     facts = reader.facts
     verdict = Verdict(str(path), facts.sequence, asked_max_error_m=facts.config.get("max_error"))
     verdict.movable, verdict.layers = reader.movable, layer_sizes(reader)
+    verdict.side_files = len(reader.side)
     if redacted_from is not None:
         verdict.problems += check_redacted(reader, redacted_from)
     refs = _sources(reader, against) if against is not None else None
@@ -81,12 +86,13 @@ def verify(
     except ArchiveError as error:
         verdict.problems.append(str(error))
     coded: Counter[str] = Counter()  # messages of a log, by topic
-    groups = decode_groups(reader, range(len(reader.gops)), threads)
+    groups = decode_groups(reader, range(len(reader.gops)), threads, labels=True)
     for entries, scans in zip(reader.entries, groups, strict=True):
         try:
             for entry, scan in zip(entries, scans, strict=True):
                 verdict.scans += 1
                 verdict.points += len(scan)
+                verdict.labelled_scans += scan.labels is not None
                 if len(scan) != entry.kept:
                     verdict.problems.append(
                         f"scan {entry.name}: {len(scan)} points, the index says {entry.kept}"
@@ -98,11 +104,26 @@ def verify(
                     _compare(scan, ref, facts.source, facts.config, verdict, reader.movable == "dropped")
         except (ArchiveError, ValueError) as error:
             verdict.problems.append(str(error))
+    verdict.problems += _side_problems(reader, against, refs)
     if against is not None and reader.log:
         passed, problems = compare_log(reader, against, coded, whole=not facts.config.get("frames"))
         verdict.passed_messages = passed
         verdict.problems += problems
     return verdict
+
+
+def _side_problems(reader: ArchiveReader, against: Path | None, refs: dict[str, ScanRef] | None) -> list[str]:
+    """What is wrong with the side files: all are read, and compared with those of the data root where one is given."""
+    if against is not None and refs is not None:
+        folder = SOURCES[reader.facts.source].folder(against, reader.facts.sequence)
+        return compare_side(reader, folder, refs.values())
+    problems = []
+    for name in reader.side:
+        try:
+            reader.side_file(name)
+        except ArchiveError as error:
+            problems.append(str(error))
+    return problems
 
 
 def _key(topic: str, name: str) -> str:
@@ -133,6 +154,7 @@ def _compare(
     given = config.get("labels") == "given"
     try:
         source = SOURCES[kind].read(ref, with_labels=given)
+        source = replace(source, labels=labels_that_fit(ref, len(source)))
     except SourceError as error:
         verdict.problems.append(str(error))
         return
@@ -159,6 +181,8 @@ def compare(
         return
     verdict.points_dropped += len(source) - len(scan)
     points, intensity = source.points[kept], source.intensity[kept]
+    if scan.labels is not None and (source.labels is None or not (source.labels[kept] == scan.labels).all()):
+        verdict.problems.append(f"scan {scan.name}: its labels are not those of {path}")
     if not same_bits(intensity, scan.intensity):
         verdict.problems.append(f"scan {scan.name}: intensity differs from {path}")
     elif not same_message(

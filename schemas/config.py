@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from salpcc.schemas.work import Movable, digest_of
+from salpcc.schemas.work import Movable, ScanRef, digest_of
 
 Profile = Literal["sensor", "paper"]
 Labels = Literal["network", "given"]
@@ -42,6 +42,9 @@ class RunConfig(BaseModel):
     )
     classes: bool = Field(False, description="store the classes that the network finds")
     labels: Labels = "network"
+    side_files: bool = Field(
+        True, description="keep .label files, and the small text files of a sequence's folder"
+    )
     effort: Effort = "default"
     coder: Coder = Field("ppmd", description="of the residuals, profile paper")
     gop: int = Field(8, ge=1, le=256, description="scans per group of pictures")
@@ -95,6 +98,15 @@ class RunConfig(BaseModel):
         return self.classes or self.labels == "given" or self.profile == "paper"
 
     @property
+    def stores_labels(self) -> bool:
+        """Whether the archive holds the ``.label`` files; the points of the paper's grid are no longer theirs."""
+        return self.side_files and self.profile == "sensor"
+
+    def reads_labels(self, ref: ScanRef) -> bool:
+        """Tell whether what becomes of a scan depends on its ``.label`` file, or on there being none."""
+        return self.labels == "given" or (self.stores_labels and ref.labels is not None)
+
+    @property
     def uses_network(self) -> bool:
         """Whether the run asks the segmentation network: only what may move has to be known."""
         return self.labels == "network" and (not self.keep_movable or self.classes)
@@ -110,6 +122,7 @@ class RunConfig(BaseModel):
         skip = {"source", "frames", "topics", "baselines", "device", "sensor", "weights"}
         skip |= {"columns"} if self.columns == 4 else set()
         skip |= set() if self.uses_network else {"weights_digest", "several_scans"}
+        skip |= {"side_files"} if self.side_files else set()
         skip |= {name for name in ("drop_movable", "movable_max_error", "classes") if not getattr(self, name)}
         skip |= {"effort"} if self.profile == "paper" else {"coder"}
         fields = {k: v for k, v in self.model_dump(mode="json").items() if k not in skip}

@@ -168,6 +168,24 @@ def read_at(path: Path, at: int, length: int) -> bytes:
         return stream.read(length)
 
 
+def walk(folder: Path) -> Iterator[tuple[str, Path, int]]:
+    """Yield each file below a folder, sorted: its path there with slashes, its location, its size. Hidden ones are left out."""
+    if is_url(folder):
+        fs, base = remote(folder)
+        found = {
+            name[len(base) :].lstrip("/"): int(info.get("size") or 0)
+            for name, info in fs.find(base, detail=True).items()
+        }
+    else:
+        files = (
+            Path(parent, name) for parent, _, names in os.walk(folder, followlinks=False) for name in names
+        )
+        found = {file.relative_to(folder).as_posix(): file.stat().st_size for file in files if file.is_file()}
+    for name in sorted(found):
+        if not any(part.startswith(".") for part in name.split("/")):
+            yield name, folder / name, found[name]
+
+
 def mapped(path: Path) -> mmap.mmap:
     """Map a file into memory; one behind a URL is fetched to a temporary file first."""
     with reading(path) as stream, TemporaryFile() as copy:

@@ -64,6 +64,7 @@ XYZI: tuple[tuple[str, int, int, int], ...] = (
     ("z", 8, 7, 1),
     ("intensity", 12, 7, 1),
 )
+LABEL: tuple[tuple[str, int, int, int], ...] = (("label", 0, 6, 1),)  # uint32
 
 
 @dataclass(frozen=True)

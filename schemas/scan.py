@@ -22,6 +22,7 @@ class Scan:
         time: nanoseconds since the start of the log (or since the epoch where the log says so).
         frame_id: coordinate frame of the points.
         classes: ``(N,)`` uint8 index into :data:`salpcc.schemas.labels.CLASSES`, or None.
+        labels: ``(N,)`` uint32 as the ``.label`` file of the scan has them (class and instance), or None.
         motion: ``(6,)`` float64 ``(v, w)``, the motion during the scan that its compensation
             used, metres and radians per turn (docs/sensor_lattice.md section 2), or None if the points are
             not compensated.
@@ -39,12 +40,13 @@ class Scan:
     motion: NDArray[np.float64] | None = None
     cloud: Cloud | None = None
     movable: NDArray[np.bool_] | None = None
+    labels: NDArray[np.uint32] | None = None
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __repr__(self) -> str:
-        beside = [key for key in ("classes", "motion", "cloud") if getattr(self, key) is not None]
+        beside = [key for key in ("classes", "labels", "motion", "cloud") if getattr(self, key) is not None]
         also = f", with {', '.join(beside)}" if beside else ""
         return f"Scan({self.name!r}, {len(self):,} points, {self.time / 1e9:.6f} s{also})"
 

@@ -48,6 +48,8 @@ _SWEEP_FIELDS = [
     pa.field("stray_points", list_of(pa.float32()), nullable=False),
     pa.field("stray_classes", list_of(pa.uint8())),
     pa.field("lead", list_of(pa.int64())),
+    pa.field("labels", list_of(pa.uint32())),
+    pa.field("stray_labels", list_of(pa.uint32())),
     CLOUD,
 ]
 _SCALARS = ("name", "time", "frame_id", "n_points", "step", "max_error")
@@ -88,6 +90,7 @@ LAYER_COUNTS = ("n_points", "kept", "dropped_movable", "strays", "geometry", "in
 _LAYER_FIELDS = [
     *(pa.field(k, pa.int64(), nullable=False) for k in LAYER_COUNTS),
     pa.field("data", pa.large_binary(), nullable=False),
+    pa.field("coded_labels", pa.large_binary(), nullable=False),  # empty where there are none
 ]
 PAYLOAD = pa.schema(
     [

@@ -35,6 +35,8 @@ class Sweep:
         stray_index: ``(S,)`` int64, ascending places of the strays among the kept points in file order.
         stray_points: ``(S, 4)`` float32, x, y, z, intensity of the strays.
         stray_classes: ``(S,)`` uint8 or None.
+        labels: ``(M,)`` uint32 or None, as their ``.label`` file has them.
+        stray_labels: ``(S,)`` uint32 or None.
         cloud: what else the scan's message held, rows in file order of the kept points, or None.
         lead: None, but in the movable layer of a scan ``(T,)`` int64: how many of its returns stand before each stray of
             the static layer in the file. ``stray_index`` then counts the points of both layers
@@ -60,6 +62,8 @@ class Sweep:
     stray_classes: NDArray[np.uint8] | None
     cloud: Cloud | None = None
     lead: NDArray[np.int64] | None = None
+    labels: NDArray[np.uint32] | None = None
+    stray_labels: NDArray[np.uint32] | None = None
 
     def __len__(self) -> int:
         """Number of kept points, strays included."""

@@ -59,6 +59,15 @@ class GopSource:
 
 
 @dataclass(frozen=True)
+class SideRef:
+    """A file that lies with the scans of a sequence: its path in their folder, where it lies, and its SHA-256 if known."""
+
+    name: str
+    path: str
+    digest: str = ""
+
+
+@dataclass(frozen=True)
 class ScanError:
     """A scan that failed: it travels with its GOP to the report; the others go on."""
 

@@ -34,6 +34,9 @@ class Texts:
     def sequences(self, root: Path) -> list[str]:
         return sorted(p.name for p in root.iterdir() if p.is_dir())
 
+    def folder(self, root: Path, sequence: str) -> None:
+        return None
+
     def scans(self, root: Path, sequence: str) -> list[ScanRef]:
         files = sorted((root / sequence).glob("*.txt"))
         return [ScanRef(file.stem, at, str(file), at) for at, file in enumerate(files)]

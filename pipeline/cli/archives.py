@@ -142,6 +142,8 @@ def verify(
         )
         if redacted_from is not None and verdict.good:
             typer.echo(f"static chunks are byte for byte those that {redacted_from} tells of")
+        if verdict.labelled_scans or verdict.side_files:
+            typer.echo(f"labels of {verdict.labelled_scans} scans, {verdict.side_files} side files")
         if verdict.movable:
             typer.echo(layers_in_words(verdict.movable, verdict.layers))
     raise typer.Exit(0 if verdict.good else 1)

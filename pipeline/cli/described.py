@@ -13,6 +13,7 @@ from rich.table import Table
 from salpcc.pipeline.cli.summary import layers_in_words, smaller
 
 STREAMS = ("geometry", "intensity", "classes", "side")
+_MOST_NAMES = 12  # of side files
 _MOST_GOPS = 20  # shown without --scans: the first and the last of them
 
 
@@ -65,9 +66,14 @@ def _facts(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     said = f"{points:,}, all kept" if kept == points else f"{points:,}, {kept:,} kept"
     said += f", {dropped:,} that can move dropped" if dropped else ""
     yield "points", said + (f", {totals['strays']:,} off the lattice" if totals["strays"] else "")
+    if found["side_files"]:
+        names = list(found["side_files"])
+        more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+        yield "files", f"{decimal(sum(found['side_files'].values()))}: {', '.join(names[:_MOST_NAMES])}{more}"
     yield "layers", layers_in_words(found["movable"], found["layers"])
     if points:
-        coded = found["bytes"] - found["bytes_passing"]
+        beside = found["bytes_passing"] + found["bytes_labels"] + sum(found["side_files"].values())
+        coded = found["bytes"] - beside
         yield "size", f"{smaller(points, coded)}, {8 * coded / points:.2f} bits a point"
     else:
         yield "size", decimal(found["bytes"])
@@ -93,6 +99,7 @@ def _streams(found: dict[str, Any]) -> Table:
         table.add_column(name, justify="right")
     points = found["totals"]["n_points"]
     parts = {name: found["totals"][name] for name in STREAMS}
+    parts |= {"labels": found["bytes_labels"], "side files": sum(found["side_files"].values())}
     parts |= {"other topics": found["bytes_passing"], "index, sensor": found["bytes_container"]}
     for name, count in {**parts, "all": found["bytes"]}.items():
         if count:

@@ -197,6 +197,12 @@ def sequences(
         Labels,
         typer.Option(help="Ask the network what can move, or take .label files.", rich_help_panel=KEPT),
     ] = "network",
+    side_files: Annotated[
+        bool,
+        typer.Option(
+            help="Keep .label files, and the small text files of the sequence's folder.", rich_help_panel=KEPT
+        ),
+    ] = True,
     weights: Weights = "small",
     several_scans: Annotated[
         bool,
@@ -274,6 +280,7 @@ def sequences(
         drop_movable=drop_movable,
         classes=classes,
         labels=labels,
+        side_files=side_files,
         weights=weights,
         several_scans=several_scans,
         effort=effort,

@@ -49,6 +49,7 @@ def summary(sequences: Iterable[dict[str, Any]], seconds: float) -> Iterator[str
     kinds = {one.get("movable") for one in figures}
     if len(kinds) == 1 and (kind := kinds.pop()):
         yield layers_in_words(kind, _together(figures))
+    yield from _beside(figures)
     yield f"{scans:,} scans in {seconds:.1f} s, {scans / seconds:.3g} a second, with all that is around the codec"
     code, back = (
         [one[key] for one in figures if one[key] is not None]
@@ -56,6 +57,19 @@ def summary(sequences: Iterable[dict[str, Any]], seconds: float) -> Iterator[str
     )
     if code and back:
         yield f"the codec on one core: {median(code):.0f} ms to code a scan, {median(back):.0f} ms to decode it"
+
+
+def _beside(figures: list[dict[str, Any]]) -> Iterator[str]:
+    """Say what the archives hold besides points; its bytes are not among theirs."""
+    found = [(one["labels"], one["side_files"]) for one in figures if one.get("labels")]
+    scans, labels, files, side = (
+        sum(pair[place][key] for pair in found)
+        for place, key in ((0, "scans"), (0, "bytes"), (1, "files"), (1, "bytes"))
+    )
+    said = [f"labels of {scans:,} scans, {decimal(labels)}"] if scans else []
+    said += [f"{files:,} side files, {decimal(side)}"] if files else []
+    if said:
+        yield f"beside the points: {'; '.join(said)}"
 
 
 def _together(figures: list[dict[str, Any]]) -> dict[str, dict[str, int]] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
@@ -14,10 +16,11 @@ from salpcc.schemas.shards import stamp, sweeps_to_table
 from salpcc.schemas.sweep import Sweep
 from salpcc.schemas.work import GopSource, ScanError, ScanRef
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.ingest.sources.label_files import labels_that_fit
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
 
-VERSION = 4
+VERSION = 5
 
 
 def run(gop: GopSource, config: RunConfig) -> pa.Table:
@@ -29,6 +32,8 @@ def run(gop: GopSource, config: RunConfig) -> pa.Table:
     for ref in gop.scans:
         try:
             scan = source.read(ref, with_labels=config.labels == "given")
+            if config.stores_labels and ref.labels is not None:
+                scan = replace(scan, labels=labels_that_fit(ref, len(scan)))
             sweeps.append(project(ref.number, scan))
         except Exception as error:
             if unreachable(error):

@@ -81,6 +81,9 @@ def both(static: Sweep, movable: Sweep, sensor: SensorModel) -> Scan:
     classes = None
     if a.classes is not None and b.classes is not None:
         classes = _merged(mask, a.classes, b.classes)
+    labels = None
+    if a.labels is not None and b.labels is not None:
+        labels = _merged(mask, a.labels, b.labels)
     cloud = a.cloud
     if a.cloud is not None and b.cloud is not None:
         rest, whole = _merged(mask, a.cloud.rest, b.cloud.rest), len(mask) == static.n_points
@@ -94,6 +97,7 @@ def both(static: Sweep, movable: Sweep, sensor: SensorModel) -> Scan:
         motion=a.motion if a.motion is not None else b.motion,
         cloud=cloud,
         movable=mask,
+        labels=labels,
     )
 
 

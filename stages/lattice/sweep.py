@@ -8,7 +8,7 @@ and a point that would not come back exactly becomes a stray with its own float3
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
@@ -26,6 +26,8 @@ from salpcc.stages.lattice.order import azimuth_keys, file_order, in_order
 from salpcc.stages.lattice.publish import compensated_points, published_points
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.untwist import twist, untwist, within_reach
+
+_T = TypeVar("_T", bound=np.generic)
 
 # A lattice that explains fewer points than this is not the scan's lattice, and strays cost less.
 _MIN_SHARE = 0.2
@@ -96,6 +98,8 @@ def _sweep(
         stray_points=np.column_stack([scan.points[stray], scan.intensity[stray]]),
         stray_classes=None if scan.classes is None else scan.classes[stray],
         cloud=scan.cloud,
+        labels=None if scan.labels is None else scan.labels[on],
+        stray_labels=None if scan.labels is None else scan.labels[stray],
     )
 
 
@@ -183,11 +187,16 @@ def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:
     points, intensity = _arranged(returned, sweep.intensity, order, on, len(sweep))
     points[off] = sweep.stray_points[:, :3]
     intensity[off] = sweep.stray_points[:, 3]
-    classes = None
-    if sweep.classes is not None and sweep.stray_classes is not None:
-        classes = np.empty(len(sweep), np.uint8)
-        classes[on] = sweep.classes[order]
-        classes[off] = sweep.stray_classes
+
+    def listed(of_returns: NDArray[_T] | None, of_strays: NDArray[_T] | None) -> NDArray[_T] | None:
+        if of_returns is None or of_strays is None:
+            return None
+        values = np.empty(len(sweep), of_returns.dtype)
+        values[on], values[off] = of_returns[order], of_strays
+        return values
+
     # That of a sweep without returns is by place in the list, which a scan's is not.
     motion = sweep.motion if len(sweep.laser) else None
-    return Scan(sweep.name, points, intensity, sweep.time, sweep.frame_id, classes, motion, sweep.cloud)
+    classes, labels = listed(sweep.classes, sweep.stray_classes), listed(sweep.labels, sweep.stray_labels)
+    about = sweep.name, points, intensity, sweep.time, sweep.frame_id
+    return Scan(*about, classes, motion, sweep.cloud, labels=labels)

@@ -19,14 +19,15 @@ from salpcc.schemas.shards import (
     table_to_sweeps,
 )
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
+from salpcc.stages.residual_code.label_coder import encode_labels
 from salpcc.stages.residual_code.paper.grid_coder import encode_grid
 from salpcc.stages.residual_code.paper.grid_streams import GridState
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import encode_scan
 from salpcc.stages.residual_code.stream import Payload
 
-VERSION = 8
+VERSION = 9
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
@@ -36,6 +37,7 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
         if config.profile == "paper"
         else _sweeps(task, prediction, config)
     )
+    sensor = load_sensor(config.sensor)
     rows = []
     for i, (sweep, payload, movable) in enumerate(coded):
         dropped = task.column("dropped_movable")[i].as_py()
@@ -44,8 +46,8 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
                 "name": sweep.name,
                 "time": sweep.time,
                 "frame_id": sweep.frame_id,
-                **_layer(sweep, payload, dropped),
-                "movable": movable and _layer(*movable, 0),
+                **_layer(sweep, payload, dropped, sensor),
+                "movable": movable and _layer(*movable, 0, sensor),
             }
         )
     of_task = ("dropped_classes", "found_classes")
@@ -58,13 +60,15 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
     return table
 
 
-def _layer(sweep: Sweep | GridSweep, payload: Payload, dropped: int) -> dict[str, Any]:
+def _layer(sweep: Sweep | GridSweep, payload: Payload, dropped: int, sensor: SensorModel) -> dict[str, Any]:
+    coded = encode_labels(sweep, sensor) if isinstance(sweep, Sweep) and sweep.labels is not None else b""
     return {
         "n_points": sweep.n_points,
         "kept": len(sweep),
         "dropped_movable": dropped,
         "strays": len(sweep.stray_index) if isinstance(sweep, Sweep) else 0,
         "data": payload.data,
+        "coded_labels": coded,
         **payload.sizes,
     }
 

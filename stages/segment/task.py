@@ -6,6 +6,7 @@ Both happen before prediction, so what the decoder will have is known at once an
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numba import njit
@@ -26,6 +27,8 @@ from salpcc.stages.lattice.sweep import (
 )
 from salpcc.stages.lattice.untwist import twist
 from salpcc.stages.strays.stray_coder import snap
+
+_T = TypeVar("_T", bound=np.generic)
 
 # Half the diagonal of the 1 mm cube that the published points were rounded in.
 _ROUNDING = 0.000867
@@ -53,6 +56,8 @@ def keep(sweep: Sweep, sensor: SensorModel, kept: NDArray[np.bool_], stray_kept:
         stray_points=sweep.stray_points[stray_kept],
         stray_classes=None if sweep.stray_classes is None else sweep.stray_classes[stray_kept],
         cloud=sweep.cloud and sweep.cloud.keep(stays),
+        labels=None if sweep.labels is None else sweep.labels[kept],
+        stray_labels=None if sweep.stray_labels is None else sweep.stray_labels[stray_kept],
     )
 
 
@@ -179,9 +184,12 @@ def quantise(
     )[in_turn]
     if not exact:
         stray_points[:, :3] = snap(stray_points[:, :3], max_error, sensor, moved)
-    classes = None
-    if sweep.classes is not None and sweep.stray_classes is not None:
-        classes = np.concatenate([sweep.stray_classes, sweep.classes[lost]])[in_turn]
+
+    def strays(of_strays: NDArray[_T] | None, of_returns: NDArray[_T] | None) -> NDArray[_T] | None:
+        if of_strays is None or of_returns is None:
+            return None
+        return np.concatenate([of_strays, of_returns[lost]])[in_turn]
+
     return replace(
         coarse,
         laser=sweep.laser[fits],
@@ -193,5 +201,7 @@ def quantise(
         classes=None if sweep.classes is None else sweep.classes[fits],
         stray_index=stray[in_turn],
         stray_points=stray_points,
-        stray_classes=classes,
+        stray_classes=strays(sweep.stray_classes, sweep.classes),
+        labels=None if sweep.labels is None else sweep.labels[fits],
+        stray_labels=strays(sweep.stray_labels, sweep.labels),
     )

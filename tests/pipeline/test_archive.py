@@ -70,7 +70,7 @@ def test_what_a_notebook_shows(path: Path) -> None:
     shown = archive._repr_html_()
     assert all(name in shown for name in archive.names) and f"{path.stat().st_size:,} bytes" in shown
     scan = archive[1]
-    assert repr(scan) == f"Scan('000001', {len(scan):,} points, 0.100000 s)"
+    assert repr(scan) == f"Scan('000001', {len(scan):,} points, 0.100000 s, with labels)"
     assert f"<td>x</td><td>{scan.points[:, 0].min():.3f}</td>" in scan._repr_html_()
     odd = Scan("<b>", np.full((2, 3), np.nan, np.float32), np.array([1, np.inf], np.float32))
     assert "<b>" not in odd._repr_html_() and "<td>x</td>" not in odd._repr_html_()
@@ -171,7 +171,7 @@ def test_a_broken_gop_ends_the_scans_where_it_breaks(
 ) -> None:
     decode = module.decode_scans
 
-    def breaks(reader: Any, gop: int, layers: str) -> Iterator[Scan]:
+    def breaks(reader: Any, gop: int, layers: str, labels: bool) -> Iterator[Scan]:
         scans = decode(reader, gop)
         yield next(scans)
         if gop == 1:
@@ -191,7 +191,7 @@ def test_threads_decode_no_further_ahead_than_their_number(
 ) -> None:
     begun = []
 
-    def counted(reader: Any, gop: int, layers: str) -> Iterator[int]:
+    def counted(reader: Any, gop: int, layers: str, labels: bool) -> Iterator[int]:
         begun.append(gop)
         yield gop
 

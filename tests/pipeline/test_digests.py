@@ -24,6 +24,8 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     read: list[str] = []
     reading = digests.reading
     monkeypatch.setattr(digests, "reading", lambda path: read.append(path.name) or reading(path))
+    read_side = digests.read_side
+    monkeypatch.setattr(digests, "read_side", lambda ref: read.append(ref.name) or read_side(ref))
     monkeypatch.setattr(marks, "_REST", 0)
     return read
 
@@ -37,8 +39,19 @@ def root(toy_root: Path, tmp_path: Path) -> Path:
 def test_a_second_run_reads_no_file(root: Path, tmp_path: Path, run: Run, reads: list[str]) -> None:
     out = tmp_path / "out"
     names = [f"{number:06d}" for number in range(5)]
+    run(root, out, "00", effort="fast")  # labels and side files, too
+    beside = [f"{name}.label" for name in names] + ["times.txt"]
+    assert sorted(reads) == sorted([*(f"{name}.bin" for name in names), *beside])
+    reads.clear()
+    run(root, out, "00", effort="fast")
+    assert reads == []
+    out = tmp_path / "without"
     for given in (False, True):
-        options = {"effort": "fast", **({"labels": "given", "keep_movable": False} if given else {})}
+        options = {
+            "effort": "fast",
+            "side_files": False,
+            **({"labels": "given", "keep_movable": False} if given else {}),
+        }
         run(root, out, "00", graph=OVERWRITE, **options)  # the second time other options
         assert sorted(reads) == [f"{name}.label" if given else f"{name}.bin" for name in names]
         reads.clear()
@@ -83,4 +96,4 @@ def test_what_changed_just_now_is_not_relied_on(
     assert json.loads((out / "records" / "00.json").read_text())["files"] == {}
     reads.clear()
     run(root, out, "00", effort="fast")
-    assert len(reads) == 5
+    assert len(reads) == 11

@@ -120,7 +120,8 @@ def test_kitti_files_are_the_ones_that_were_read(
     toy_root: Path, tmp_path: Path, run: Callable[..., RunResult]
 ) -> None:
     """Scans, classes, times: of a sequence with a gap, in two goes."""
-    assert not run(toy_root, tmp_path / "out", "01", labels="given", effort="fast").failed
+    options = {"labels": "given", "side_files": False, "effort": "fast"}
+    assert not run(toy_root, tmp_path / "out", "01", **options).failed
     archive = Archive.open(tmp_path / "out" / "archives" / "01.mcap")
     told: list[str] = []
     for part in (archive[:2], archive[2:]):
@@ -139,8 +140,9 @@ def test_kitti_files_are_the_ones_that_were_read(
 def test_labels_of_others_are_never_replaced(
     toy_root: Path, tmp_path: Path, run: Callable[..., RunResult]
 ) -> None:
-    """A label file holds instances, an archive does not."""
-    assert not run(toy_root, tmp_path / "out", "01", labels="given", effort="fast").failed
+    """A label file holds instances, an archive of classes alone does not."""
+    options = {"labels": "given", "side_files": False, "effort": "fast"}
+    assert not run(toy_root, tmp_path / "out", "01", **options).failed
     shutil.copytree(toy_root / "sequences" / "01", tmp_path / "sequences" / "01")
     archive = Archive.open(tmp_path / "out" / "archives" / "01.mcap")
     with pytest.raises(UsageError, match=r"000000\.label: other labels are there"):

@@ -65,24 +65,41 @@ def run_figures(out: Path) -> dict[str, Any]:
     sequences, containers = {}, 0
     for name in sorted(set(metrics.column("sequence").to_pylist())):
         rows = _of(metrics, name)
-        container = container_bytes(out, name, rows)
+        archive = _archive(out, name)
+        container = container_bytes(archive, rows)
         containers += container
-        sequences[name] = figures(rows, _of(times, name), container)
+        sequences[name] = figures(rows, _of(times, name), container) | _side_figures(archive)
         (sequences[name]["iou"] or {}).pop("confusion", None)  # of all sequences together is enough
     return {"sequences": sequences, "total": figures(metrics, times, containers)}
 
 
-def container_bytes(out: Path, sequence: str, metrics: pa.Table) -> int:
-    """Bytes of the sequence's archive that are not payload; 0 where the archive is not at hand."""
-    path = out / "archives" / f"{sequence}.mcap"
-    if not path.exists():
-        return 0
+def _archive(out: Path, sequence: str) -> ArchiveReader | None:
+    """The archive of a sequence, where it is at hand."""
     try:
-        passing = ArchiveReader(path).passing_bytes  # other topics of a log are nobody's points
+        return ArchiveReader(out / "archives" / f"{sequence}.mcap")
     except ArchiveError:
-        passing = 0
+        return None
+
+
+def container_bytes(archive: ArchiveReader | None, metrics: pa.Table) -> int:
+    """Bytes of the sequence's archive that are for its points and not payload; 0 where the archive is not at hand."""
+    if archive is None:
+        return 0
     coded = sum(total(metrics, f"bytes_{stream}") for stream in STREAMS)
-    return max(0, path.stat().st_size - coded - passing)
+    # Other topics of a log, labels and side files are nobody's points.
+    other = archive.passing_bytes + archive.labels_bytes + sum(archive.side.values())
+    return max(0, archive.size - coded - other)
+
+
+def _side_figures(archive: ArchiveReader | None) -> dict[str, Any]:
+    """Labels and side files that an archive holds; their bytes are in no other figure."""
+    if archive is None:
+        return {"labels": None, "side_files": None}
+    scans = sum(entry.labels > 0 for gop in archive.gops for entry in gop)
+    return {
+        "labels": {"scans": scans, "bytes": archive.labels_bytes},
+        "side_files": {"files": len(archive.side), "bytes": sum(archive.side.values())},
+    }
 
 
 def error_lines(failures: pa.Table) -> list[dict[str, str]]:

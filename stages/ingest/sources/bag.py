@@ -47,6 +47,9 @@ class Bag:
             return [root.stem]
         return sorted({path.stem for path in root.iterdir() if _is_log(path)}) if root.is_dir() else []
 
+    def folder(self, root: Path, sequence: str) -> None:
+        """Return None: what lies beside a log is not its own."""
+
     def scans(
         self, root: Path, sequence: str, topics: tuple[str, ...] = (), listed: Clouds | None = None
     ) -> list[ScanRef]:

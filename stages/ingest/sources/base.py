@@ -22,6 +22,10 @@ class Source(Protocol):
         """List the names of the sequences below ``root``, sorted; empty where there are none."""
         ...
 
+    def folder(self, root: Path, sequence: str) -> Path | None:
+        """Return the folder whose other small files belong to the sequence, such as calibration and poses; None for none."""
+        ...
+
     def scans(self, root: Path, sequence: str) -> list[ScanRef]:
         """List the scans of one sequence, ascending in frame number.
 

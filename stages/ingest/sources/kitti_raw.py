@@ -28,12 +28,14 @@ class KittiRaw:
         folders = (p for p in root.iterdir() if p.is_dir() and not p.name.startswith("."))
         return sorted(p.name for p in folders if _data_folder(p) is not None)
 
+    def folder(self, root: Path, sequence: str) -> Path:
+        """Return the folder of the drive; the downloads unpack into a folder per day: 2011_09_26/2011_09_26_drive_0005_sync."""
+        folder, of_day = root / sequence, root / sequence[:10] / sequence
+        return of_day if not folder.is_dir() and of_day.is_dir() else folder
+
     def scans(self, root: Path, sequence: str) -> list[ScanRef]:
         """List the scans of ``root/sequence``; times from timestamps.txt, else a nominal 10 Hz."""
-        folder = root / sequence
-        # The downloads unpack into a folder per day: 2011_09_26/2011_09_26_drive_0005_sync.
-        if not folder.is_dir() and (root / sequence[:10] / sequence).is_dir():
-            folder = root / sequence[:10] / sequence
+        folder = self.folder(root, sequence)
         data = _data_folder(folder)
         if data is None:
             raise SourceError(f"{folder}: no .bin scans found. {self.hint}")

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError
-from salpcc.schemas.files import location, why
 from salpcc.schemas.labels import classes_of_labels
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
+from salpcc.stages.ingest.sources.label_files import label_file, labels_that_fit
 from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_scan
 
 
@@ -32,9 +32,13 @@ class SemanticKitti:
         folders = (p for p in (root / "sequences").glob("*/velodyne") if p.is_dir())
         return sorted(p.parent.name for p in folders if not p.parent.name.startswith("."))
 
+    def folder(self, root: Path, sequence: str) -> Path:
+        """Return ``root/sequences/sequence``."""
+        return root / "sequences" / sequence
+
     def scans(self, root: Path, sequence: str) -> list[ScanRef]:
         """List the scans of ``root/sequences/sequence``; times from times.txt (seconds, one a line)."""
-        folder = root / "sequences" / sequence
+        folder = self.folder(root, sequence)
         if not (folder / "velodyne").is_dir():
             raise SourceError(f"{folder / 'velodyne'}: not found. {self.hint}")
         times = folder / "times.txt"
@@ -88,11 +92,8 @@ def read_labels(ref: ScanRef, n_points: int) -> NDArray[np.uint32]:
     """
     if ref.labels is None:
         raise SourceError(f"{ref.path}: no .label file beside it; use --labels network")
-    path = location(ref.labels)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SourceError(f"{path}: {why(error)}") from error
-    if len(data) != 4 * n_points:
-        raise SourceError(f"{path}: {len(data)} bytes for {n_points} points, expected 4 bytes a point")
-    return np.frombuffer(data, "<u4").astype(np.uint32)
+    labels = labels_that_fit(ref, n_points)
+    if labels is None:
+        size = len(label_file(ref.labels))
+        raise SourceError(f"{ref.labels}: {size} bytes for {n_points} points, expected 4 bytes a point")
+    return labels

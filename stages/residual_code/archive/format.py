@@ -6,17 +6,21 @@ Here: what an archive holds. ``archive_writer`` and ``archive_reader`` are each 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 from salpcc.stages.lattice.sensor_model import SensorModel
 
 ARCHIVE_VERSION = "1.1"  # of archives with one layer
-LAYERED_VERSION = "2.0"  # of those with a movable layer, or of which it was taken out
+SECOND_VERSION = "2.0"  # of those with labels or a movable layer, or of which that was taken out
 MAGIC = b"\x89MCAP0\r\n"
 TOPIC = "/points/salpcc"
-MOVABLE_TOPIC = "/points/salpcc/movable"
-MOVABLE_CHANNEL = "movable_channel"  # key of the metadata: id of its channel
+# What may have a channel of its own: its topic. The id is in the metadata, under the name and "_channel".
+OWN_TOPICS = {
+    "movable": "/points/salpcc/movable",
+    "labels": "/points/salpcc/labels",
+    "movable_labels": "/points/salpcc/movable/labels",
+}
 LIBRARY = "salpcc-pipeline"  # without a version: the same scans give the same bytes from any release
 
 
@@ -33,6 +37,7 @@ class ScanEntry:
     intensity: int
     classes: int
     side: int
+    labels: int = 0  # bytes beside the payload
 
     @property
     def bytes(self) -> int:
@@ -41,14 +46,13 @@ class ScanEntry:
 
     def of_sizes(self, sizes: dict[str, int]) -> ScanEntry:
         """Return it with the bytes by group of another payload of the same scan."""
-        counts = self.n_points, self.kept, self.dropped_movable, self.strays
-        return ScanEntry(self.name, *counts, **sizes)
+        return replace(self, **sizes)
 
     def with_layer(self, movable: ScanEntry) -> ScanEntry:
         """Return the entry of both layers of a scan, this being that of the static one."""
         sums = {
             name: getattr(self, name) + getattr(movable, name)
-            for name in ("kept", "strays", "geometry", "intensity", "classes", "side")
+            for name in ("kept", "strays", "geometry", "intensity", "classes", "side", "labels")
         }
         return replace(self, dropped_movable=self.dropped_movable - movable.kept, **sums)
 
@@ -57,7 +61,8 @@ class ScanEntry:
 class ScanPayload:
     """One coded scan, or one layer of it: its entry, time stamp (ns), frame id, and the payload of the entropy coder.
 
-    ``movable`` is the other layer of the scan where this is the static one, and both are to be written.
+    ``movable`` is the other layer of the scan where this is the static one, and both are to be written;
+    ``labels`` are the coded labels of the points of this layer, empty where there are none.
     """
 
     entry: ScanEntry
@@ -65,6 +70,7 @@ class ScanPayload:
     frame_id: str
     data: bytes
     movable: ScanPayload | None = None
+    labels: bytes = b""
 
     @property
     def checksum(self) -> str:
@@ -78,7 +84,7 @@ class ArchiveFacts:
 
     ``config`` is :attr:`salpcc.schemas.config.RunConfig.coding`; ``source`` the kind of source and
     ``inputs`` the digest of the source files and the configuration, by which a run knows it is done.
-    ``layers``: the archive has a movable layer, or had one.
+    ``layers``: the archive has a movable layer, or had one. ``labels``: it has a channel for labels.
     """
 
     sequence: str
@@ -87,11 +93,23 @@ class ArchiveFacts:
     config: dict[str, Any]
     sensor: SensorModel
     layers: bool = False
+    labels: bool = False
 
     @property
     def version(self) -> str:
         """Version of the archive."""
-        return LAYERED_VERSION if self.layers else ARCHIVE_VERSION
+        return SECOND_VERSION if self.layers or self.labels else ARCHIVE_VERSION
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What has a channel of its own, besides the scans."""
+        asked = {"movable": self.layers, "labels": self.labels, "movable_labels": self.layers and self.labels}
+        return tuple(name for name, there in asked.items() if there)
+
+
+def read_own_channels(about: dict[str, str]) -> dict[str, int]:
+    """Read the ids of the channels that are an archive's own, by name, from its metadata."""
+    return {name: int(about[f"{name}_channel"]) for name in OWN_TOPICS if f"{name}_channel" in about}
 
 
 def sequence_number(name: str, place: int) -> int:
@@ -109,8 +127,14 @@ def frame_number(name: str, place: int) -> int:
     return int(number) if number.isascii() and number.isdigit() else place
 
 
+def row_of(entry: ScanEntry) -> list[Any]:
+    """Return the row of the index; without labels it has no number for them."""
+    row = list(astuple(entry))
+    return row if entry.labels else row[:-1]
+
+
 def entry_of(row: list[Any]) -> ScanEntry:
-    """Read a row of the index, which nobody vouches for."""
+    """Read a row of the index, which nobody vouches for; inverse of :func:`row_of`."""
     name, *counts = row
     if not all(isinstance(n, int) and n >= 0 for n in counts):
         raise ValueError("a row of the index is not a name and counts")

@@ -34,14 +34,14 @@ from salpcc.schemas.messages import CloudMessage
 from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import (
-    LAYERED_VERSION,
     MAGIC,
-    MOVABLE_CHANNEL,
+    SECOND_VERSION,
     ArchiveFacts,
     ScanEntry,
     ScanPayload,
     entry_of,
     file_name,
+    read_own_channels,
 )
 from salpcc.stages.residual_code.archive.passing import (
     ENCLOSED,
@@ -49,6 +49,7 @@ from salpcc.stages.residual_code.archive.passing import (
     passing_messages,
     read_passing_enclosed,
 )
+from salpcc.stages.residual_code.archive.side_files import SIDE, SideFile, side_file, side_name
 
 _FOOTER_BYTES = 9 + 20
 
@@ -64,6 +65,7 @@ class ArchiveReader:
         gops: the entries of the scans (of their static layers), by GOP number; a GOP all of whose scans failed is empty.
         movable_gops: the entries of their movable layers, where the archive holds them, of the first scans of each GOP.
         log: channels of the log that the scans were in; empty for scans that were files.
+        side: bytes that the side files take in the archive, by name.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -160,15 +162,36 @@ class ArchiveReader:
                 raise ArchiveError(f"{where}: CRC mismatch, the file is damaged")
             found = [content for opcode, _, content in records(chunk.data) if opcode == Opcode.MESSAGE]
             messages = [Message.read(stream(content), len(content)) for content in found]
-            if len(messages) != len(entries):
-                raise ArchiveError(f"{where}: {len(messages)} messages for {len(entries)} scans")
-            clouds = [(m, CloudMessage.from_cdr(m.data, compressed=True)) for m in messages]
+            clouds = [CloudMessage.from_cdr(message.data, compressed=True) for message in messages]
         except PARSE_ERRORS as error:
             raise ArchiveError(f"{where}: damaged ({error})") from error
-        return [
-            ScanPayload(entry, message.log_time, cloud.frame_id, cloud.data)
-            for entry, (message, cloud) in zip(entries, clouds, strict=True)
-        ]
+        of_labels = [message.channel_id in self._label_channels for message in messages]
+        scans = [place for place, behind in enumerate(of_labels) if not behind]
+        if len(scans) != len(entries):
+            raise ArchiveError(f"{where}: {len(scans)} messages for {len(entries)} scans")
+        payloads = []
+        for entry, place in zip(entries, scans, strict=True):
+            labels = clouds[place + 1].data if any(of_labels[place + 1 : place + 2]) else b""
+            if len(labels) != entry.labels:
+                raise ArchiveError(f"{where}: {len(labels)} bytes of labels, the index says {entry.labels}")
+            cloud = clouds[place]
+            payloads.append(
+                ScanPayload(entry, messages[place].log_time, cloud.frame_id, cloud.data, labels=labels)
+            )
+        return payloads
+
+    def side_file(self, name: str) -> SideFile:
+        """Read a side file.
+
+        Raises:
+            KeyError: there is none of that name.
+            ArchiveError: it is damaged.
+        """
+        at = self._side[name]
+        try:
+            return side_file(Attachment.read(stream(self._attachment_bytes(at))))
+        except PARSE_ERRORS as error:
+            raise ArchiveError(f"{self.path}: {error}") from error
 
     def passing(self) -> Iterator[LogMessage]:
         """Yield the messages that passed through, in the order of the file.
@@ -203,6 +226,16 @@ class ArchiveReader:
         return any(entry.classes for gop in self.gops for entry in gop)
 
     @property
+    def has_labels(self) -> bool:
+        """Whether labels of the points are stored, as annotators left them."""
+        return any(entry.labels for gop in self.gops for entry in gop)
+
+    @property
+    def labels_bytes(self) -> int:
+        """Bytes of the coded labels of all layers."""
+        return sum(entry.labels for gops in (self.gops, self.movable_gops) for gop in gops for entry in gop)
+
+    @property
     def span(self) -> tuple[int, int]:
         """Time stamps of the first and the last scan, ns; zeros where there are none."""
         chunks = self._chunks.values()
@@ -219,7 +252,8 @@ class ArchiveReader:
     def container_bytes(self) -> int:
         """Bytes of the file that are neither payload nor passing: index, sensor model, configuration, framing."""
         coded = (entry.bytes for gops in (self.gops, self.movable_gops) for gop in gops for entry in gop)
-        return self.size - sum(coded) - self.passing_bytes
+        beside = self.passing_bytes + self.labels_bytes + sum(self.side.values())
+        return self.size - sum(coded) - beside
 
     def check(self) -> None:
         """Verify the CRC over everything before the summary (the summary's own was checked on opening).
@@ -289,12 +323,18 @@ class ArchiveReader:
                 channels.append(Channel.read(record))
         if "salpcc" not in metadata:
             raise ArchiveError(self._no_archive)
+        self._side = {
+            side_name(name): attachment for name, attachment in attachments.items() if name.startswith(SIDE)
+        }
+        self.side = {name: at.length for name, at in self._side.items()}
         of_log = (at for at in enclosed if at.name.startswith(ENCLOSED))
         self._enclosed = sorted(of_log, key=lambda at: at.offset)
         self._data_end = footer.summary_start - 9 - 4
-        self.facts, movable = self._facts(metadata["salpcc"], attachments)
+        self.facts, own = self._facts(metadata["salpcc"], attachments)
+        movable = own.get("movable")
+        self._label_channels = {number for name, number in own.items() if name != "movable"}
         for channel in channels:
-            if channel.id not in (1, movable):
+            if channel.id not in (1, *own.values()):
                 passing = passing_channel(channel, schemas.get(channel.schema_id))
                 self.log[passing.id] = passing
         index = json.loads(self._attachment(attachments["index.json"]))
@@ -325,31 +365,32 @@ class ArchiveReader:
 
     def _facts(
         self, at: MetadataIndex, attachments: dict[str, AttachmentIndex]
-    ) -> tuple[ArchiveFacts, int | None]:
-        """The facts, and the id of the movable layer's channel."""
+    ) -> tuple[ArchiveFacts, dict[str, int]]:
+        """The facts, and the ids of the channels that are the archive's own."""
         about = Metadata.read(self._record(at.offset, Opcode.METADATA)).metadata
         version = about["archive_version"]
-        if int(version.split(".")[0]) > int(LAYERED_VERSION.split(".")[0]):
+        if int(version.split(".")[0]) > int(SECOND_VERSION.split(".")[0]):
             raise ArchiveError(
-                f"{self.path}: archive version {version} is newer than this tool reads ({LAYERED_VERSION}); update it"
+                f"{self.path}: archive version {version} is newer than this tool reads ({SECOND_VERSION}); update it"
             )
-        movable = int(about[MOVABLE_CHANNEL]) if MOVABLE_CHANNEL in about else None
+        own = read_own_channels(about)
         try:
             sensor = SensorModel.from_json(self._attachment(attachments["sensor.json"]).decode())
         except SalpccError as error:
             raise ArchiveError(f"{self.path}: {error}") from error
         config: dict[str, Any] = dict(json.loads(self._attachment(attachments["config.json"])))
         sequence = file_name(about["sequence"])
-        facts = ArchiveFacts(
-            sequence, about["source"], about["inputs"], config, sensor, layers=movable is not None
-        )
-        return facts, movable
+        about_it = sequence, about["source"], about["inputs"], config, sensor
+        return ArchiveFacts(*about_it, layers="movable" in own, labels="labels" in own), own
 
     def _attachment(self, at: AttachmentIndex) -> bytes:
+        return bytes(Attachment.read(stream(self._attachment_bytes(at))).data)
+
+    def _attachment_bytes(self, at: AttachmentIndex) -> bytes:
         raw = self._record_bytes(at.offset, Opcode.ATTACHMENT)
         if zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
             raise ArchiveError(f"{self.path}: CRC of {at.name} does not match, the file is damaged")
-        return bytes(Attachment.read(stream(raw)).data)
+        return raw
 
     def _record(self, at: int, opcode: Opcode) -> ReadDataStream:
         return stream(self._record_bytes(at, opcode))

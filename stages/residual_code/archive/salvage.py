@@ -7,7 +7,6 @@ import struct
 from collections import Counter
 from dataclasses import replace
 from io import BytesIO
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +21,14 @@ from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
 from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
-    LAYERED_VERSION,
-    MOVABLE_CHANNEL,
+    OWN_TOPICS,
+    SECOND_VERSION,
     ArchiveFacts,
     ScanEntry,
     ScanPayload,
     entry_of,
     file_name,
+    read_own_channels,
     sequence_number,
 )
 from salpcc.stages.residual_code.archive.fragments import (
@@ -41,7 +41,10 @@ from salpcc.stages.residual_code.archive.fragments import (
 )
 from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.passing_salvage import passing_log
-from salpcc.stages.residual_code.archive.writer import message_of
+from salpcc.stages.residual_code.archive.side_files import SideFile
+from salpcc.stages.residual_code.archive.side_salvage import side_files
+from salpcc.stages.residual_code.archive.writer import labels_message, message_of
+from salpcc.stages.residual_code.label_coder import check_labels
 from salpcc.stages.residual_code.paper import grid_payload
 from salpcc.stages.residual_code.paper.grid_header import GRID_CODEC
 from salpcc.stages.residual_code.sensor import payload
@@ -97,34 +100,53 @@ class Salvage:
 
     def payloads(self, gop: int) -> list[ScanPayload]:
         """Return the scans of a GOP (their static layers) up to the first that is damaged."""
-        return self._payloads(gop, self._places.get(gop), 1, self._rows)
+        return self._payloads(gop, self._places.get(gop), 1, self._own.get("labels"), self._rows)
 
     def movable_payloads(self, gop: int) -> list[ScanPayload]:
         """Return the movable layers of a GOP up to the first that is damaged."""
-        return self._payloads(gop, self._movable_places.get(gop), self._movable or 0, self._movable_rows)
+        channels = self._own.get("movable", 0), self._own.get("movable_labels")
+        return self._payloads(gop, self._movable_places.get(gop), *channels, self._movable_rows)
 
     def _payloads(
-        self, gop: int, place: Place | None, channel: int, rows: dict[str, ScanEntry]
+        self, gop: int, place: Place | None, channel: int, labels: int | None, rows: dict[str, ScanEntry]
     ) -> list[ScanPayload]:
         found: list[ScanPayload] = []
-        names = self.names[gop]
         if place is None:
             return found
-        content = zip(place.messages, clouds(self._data, place), names or count(), strict=False)
-        for (start, end), (message, cloud), name in content:
-            name = name if isinstance(name, str) else f"{message.sequence:06d}"
+        names = iter(self.names[gop] or ())
+        for (start, end), (message, cloud) in zip(place.messages, clouds(self._data, place), strict=False):
             try:
-                entry = _entry(name, cloud.data)
+                if message.channel_id == labels and found and not found[-1].labels:
+                    check_labels(cloud.data)
+                    scan = _labelled(found[-1], cloud.data)
+                    again = labels_message(scan, message.sequence, labels)
+                else:
+                    name = next(names, f"{message.sequence:06d}")
+                    entry = replace(rows.get(name) or _entry(name, cloud.data), labels=0)
+                    _entry(name, cloud.data)
+                    scan = ScanPayload(entry, message.log_time, cloud.frame_id, cloud.data)
+                    again = message_of(scan, message.sequence, self._version, channel)
             except BROKEN:
+                if message.channel_id == labels:
+                    continue  # the scans behind need them not
                 break
-            scan = ScanPayload(rows.get(name, entry), message.log_time, cloud.frame_id, cloud.data)
             builder = RecordBuilder()
-            message_of(scan, message.sequence, self._version, channel).write(builder)
+            again.write(builder)
             same = builder.end()[RECORD_HEAD:] == self._data[start:end] and cloud.frame_id in self._frame_ids
-            if not (place.whole or same):
+            if place.whole or same:
+                found[len(found) - bool(scan.labels) :] = [scan]
+            elif not scan.labels:
                 break
-            found.append(scan)
         return found
+
+    def had_labels(self, name: str, movable: bool) -> bool:
+        """Tell whether a layer of a scan had labels, as far as it can be known."""
+        row = (self._movable_rows if movable else self._rows).get(name)
+        return self.facts.labels if row is None else row.labels > 0
+
+    def side_files(self) -> tuple[list[SideFile], int]:
+        """Return the side files that are whole, and how many are not."""
+        return side_files(self._data)
 
     def passing_log(self) -> tuple[PassingLog | None, int]:
         """Return what passes through, None where nothing did, and how many of its chunks are damaged."""
@@ -132,15 +154,15 @@ class Salvage:
 
     def _facts(self, sensor: SensorModel | None) -> ArchiveFacts:
         self._version, about = ARCHIVE_VERSION, {}
-        self._movable: int | None = None
+        self._own: dict[str, int] = {}
         try:
             at = self._data.find(struct.pack("<I", 6) + b"salpcc")
             about = Metadata.read(
                 ReadDataStream(BytesIO(self._data[max(at, 0) : max(at, 0) + 4096]))
             ).metadata
             self._version = about["archive_version"]
-            newer = int(self._version.split(".")[0]) > int(LAYERED_VERSION.split(".")[0])
-            self._movable = int(about[MOVABLE_CHANNEL]) if MOVABLE_CHANNEL in about else None
+            newer = int(self._version.split(".")[0]) > int(SECOND_VERSION.split(".")[0])
+            self._own = read_own_channels(about)
             sequence = file_name(about["sequence"])
         except BROKEN:
             newer, sequence = False, self.path.stem
@@ -152,10 +174,22 @@ class Salvage:
             self.notes.append("the configuration is gone")
             config = {}
         model = self._sensor(sensor, config.get("sensor_digest"))
-        if self._movable is None and config.get("layers"):
-            self._version, self._movable = LAYERED_VERSION, 2  # as where there was no log
+        if not about:
+            self._own = self._guessed(config)
+            self._version = SECOND_VERSION if self._own else self._version
         source = about.get("source", "unknown")
-        return ArchiveFacts(sequence, source, "", config, model, self._movable is not None)
+        of_own = {"layers": "movable" in self._own, "labels": "labels" in self._own}
+        return ArchiveFacts(sequence, source, "", config, model, **of_own)
+
+    def _guessed(self, config: dict[str, Any]) -> dict[str, int]:
+        """The ids of the archive's own channels where the record that tells them is gone: by their topics."""
+        found = {}
+        for name, topic in OWN_TOPICS.items():
+            mark = struct.pack("<I", len(topic)) + topic.encode() + struct.pack("<I", 3) + b"cdr"
+            at = self._data.find(mark)
+            if at >= 4:
+                found[name] = struct.unpack("<H", self._data[at - 4 : at - 2])[0]
+        return found if found or not config.get("layers") else {"movable": 2}
 
     def _sensor(self, given: SensorModel | None, digest: object) -> SensorModel:
         document = self._only("sensor.json")
@@ -205,7 +239,9 @@ class Salvage:
             if message is None:
                 continue
             first = message.sequence
-            if message.channel_id == self._movable:  # right behind the static layer, if that is there
+            if message.channel_id == self._own.get(
+                "movable"
+            ):  # right behind the static layer, if that is there
                 self._movable_places.setdefault(by_sequence.get(first, last), place)
                 continue
             last = records[place.start][0] if place.start in records else by_sequence.get(first, last + 1)
@@ -219,11 +255,15 @@ class Salvage:
         at = max([0, *records])
         if gop in self._places:
             after = self._movable_places.get(gop, self._places[gop]).end
-            opcode, length = struct.unpack(
-                "<BQ", self._data[after : after + RECORD_HEAD].ljust(RECORD_HEAD, b"\0")
-            )
-            at = max(at, after + RECORD_HEAD + length if opcode == Opcode.MESSAGE_INDEX else 0)
+            while self._data[after : after + 1] == bytes([Opcode.MESSAGE_INDEX]):
+                head = self._data[after : after + RECORD_HEAD].ljust(RECORD_HEAD, b"\0")
+                after += RECORD_HEAD + struct.unpack("<BQ", head)[1]
+                at = max(at, after)
         return self._data.find(b"index.json", at, at + 64) == at + RECORD_HEAD + 20
+
+
+def _labelled(scan: ScanPayload, labels: bytes) -> ScanPayload:
+    return replace(scan, entry=replace(scan.entry, labels=len(labels)), labels=labels)
 
 
 def _entry(name: str, data: bytes) -> ScanEntry:

@@ -10,7 +10,6 @@ import json
 import struct
 import zlib
 from collections.abc import Iterable
-from dataclasses import astuple
 from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -39,16 +38,17 @@ from mcap.records import (
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, GROUPS
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
-from salpcc.schemas.messages import COMPRESSED, SCHEMA_TEXT, CloudMessage
+from salpcc.schemas.messages import COMPRESSED, LABEL, SCHEMA_TEXT, CloudMessage
 from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
     LIBRARY,
     MAGIC,
-    MOVABLE_CHANNEL,
-    MOVABLE_TOPIC,
+    OWN_TOPICS,
+    SECOND_VERSION,
     TOPIC,
     ArchiveFacts,
     ScanPayload,
+    row_of,
     sequence_number,
 )
 from salpcc.stages.residual_code.archive.passing import (
@@ -57,6 +57,7 @@ from salpcc.stages.residual_code.archive.passing import (
     passing_enclosed,
     passing_records,
 )
+from salpcc.stages.residual_code.archive.side_files import SideFile, side_record
 
 
 def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION, channel: int = 1) -> Message:
@@ -73,10 +74,26 @@ def message_of(payload: ScanPayload, place: int, version: str = ARCHIVE_VERSION,
     return Message(channel, payload.time, cloud.to_cdr(), payload.time, number)
 
 
-def movable_channel(log: Iterable[LogChannel]) -> int:
-    """Return the id of the movable layer's channel: the first that no channel of the log has."""
+def labels_message(payload: ScanPayload, place: int, channel: int) -> Message:
+    """The message of the labels of a scan's layer."""
+    cloud = CloudMessage(
+        payload.time,
+        payload.frame_id,
+        payload.entry.kept,
+        payload.labels,
+        format=f"salpcc-labels/{SECOND_VERSION}",
+        point_step=4,
+        fields=LABEL,
+    )
+    number = sequence_number(payload.entry.name, place)
+    return Message(channel, payload.time, cloud.to_cdr(), payload.time, number)
+
+
+def own_channels(facts: ArchiveFacts, log: Iterable[LogChannel]) -> dict[str, int]:
+    """Return the ids of the channels that are an archive's own, by name: the first that no channel of the log has."""
     taken = {channel.id + 1 for channel in log}
-    return next(number for number in count(2) if number not in taken)
+    free = (number for number in count(2) if number not in taken)
+    return dict(zip(facts.channels, free, strict=False))
 
 
 class ArchiveWriter:
@@ -87,11 +104,11 @@ class ArchiveWriter:
         self._stream = stream
         self._at = 0
         self._crc = 0
-        self._index: list[list[tuple[Any, ...]]] = []
-        self._movable_index: list[list[tuple[Any, ...]]] = []
+        self._index: list[list[list[Any]]] = []
+        self._movable_index: list[list[list[Any]]] = []
         self._version = facts.version
         log = tuple(log)
-        self._movable = movable_channel(log) if facts.layers else None
+        self._own = own_channels(facts, log)
         self._chunks: list[McapRecord] = []
         self._attachments: list[McapRecord] = []
         self._metadata: list[McapRecord] = []
@@ -101,10 +118,9 @@ class ArchiveWriter:
         self._schemas: list[McapRecord] = [Schema(1, SCHEMA_TEXT[COMPRESSED].encode(), "ros2msg", COMPRESSED)]
         # The ros2 profile asks for the QoS key.
         self._channels: list[McapRecord] = [Channel(1, TOPIC, "cdr", {"offered_qos_profiles": ""}, 1)]
-        if self._movable is not None:
-            about = {"offered_qos_profiles": ""}
-            self._channels.append(Channel(self._movable, MOVABLE_TOPIC, "cdr", about, 1))
-            self._counts[self._movable] = 0
+        for name, number in self._own.items():
+            self._channels.append(Channel(number, OWN_TOPICS[name], "cdr", {"offered_qos_profiles": ""}, 1))
+            self._counts[number] = 0
         for channel in log:
             schema, passing = passing_records(channel)
             self._schemas += schema
@@ -121,8 +137,7 @@ class ArchiveWriter:
             "source": facts.source,
             "inputs": facts.inputs,
         }
-        if self._movable is not None:
-            described[MOVABLE_CHANNEL] = str(self._movable)
+        described |= {f"{name}_channel": str(number) for name, number in self._own.items()}
         self._enclose(Metadata("salpcc", described))
         self._attach("sensor.json", json.loads(facts.sensor.to_json()))
         self._attach("config.json", facts.config)
@@ -137,36 +152,41 @@ class ArchiveWriter:
         names = [payload.entry.name for payload in payloads]
         # Before each chunk, so that what is left of a broken file can still be told by name.
         self._attach("gop.json", {"gop": len(self._index), "scans": names, "sequence": self._sequence})
-        self._index.append([astuple(payload.entry) for payload in payloads])
+        self._index.append([row_of(payload.entry) for payload in payloads])
         self._movable_index.append([])
         if not payloads:
             return
         before = self._counts[1]
-        self._chunk(payloads, before, 1)
-        if self._movable is None:
+        self._chunk(payloads, before, 1, self._own.get("labels"))
+        if "movable" not in self._own:
             return
         layer = [payload.movable for payload in payloads if payload.movable is not None]
-        self._movable_index[-1] += [astuple(payload.entry) for payload in layer]
+        self._movable_index[-1] += [row_of(payload.entry) for payload in layer]
         if layer:
-            self._chunk(layer, before, self._movable)
+            self._chunk(layer, before, self._own["movable"], self._own.get("movable_labels"))
 
-    def _chunk(self, payloads: list[ScanPayload], before: int, channel: int) -> None:
-        """Write a layer of one GOP; ``before``: scans of earlier ones."""
+    def _chunk(self, payloads: list[ScanPayload], before: int, channel: int, labels: int | None) -> None:
+        """Write a layer of one GOP, each scan's labels behind it; ``before``: scans of earlier ones."""
         builder = RecordBuilder()
-        offsets = []
+        offsets: dict[int, list[tuple[int, int]]] = {}
         for place, payload in enumerate(payloads, before):
-            offsets.append((payload.time, builder.count))
-            message_of(payload, place, self._version, channel).write(builder)
-            self._times.append(payload.time)
-            self._counts[channel] += 1
+            messages = [message_of(payload, place, self._version, channel)]
+            if labels is not None and payload.labels:
+                messages.append(labels_message(payload, place, labels))
+            for message in messages:
+                offsets.setdefault(message.channel_id, []).append((payload.time, builder.count))
+                message.write(builder)
+                self._times.append(payload.time)
+                self._counts[message.channel_id] += 1
         data = bytes(builder.end())
-        first, last = min(t for t, _ in offsets), max(t for t, _ in offsets)
+        times = [payload.time for payload in payloads]
+        first, last = min(times), max(times)
         start, length = self._record(Chunk("", data, last, first, zlib.crc32(data), len(data)))
-        index_at, index_length = self._record(MessageIndex(channel, offsets))
+        index_start = self._at
+        places = {number: self._record(MessageIndex(number, rows))[0] for number, rows in offsets.items()}
+        index_length = self._at - index_start
         self._chunks.append(
-            ChunkIndex(
-                length, start, "", len(data), last, index_length, {channel: index_at}, first, len(data)
-            )
+            ChunkIndex(length, start, "", len(data), last, index_length, places, first, len(data))
         )
 
     def pass_messages(self, messages: Iterable[LogMessage]) -> None:
@@ -192,11 +212,13 @@ class ArchiveWriter:
             )
         )
 
-    def finish(self, enclosed: Iterable[Enclosed] = ()) -> None:
-        """Write the index, what the log encloses, and the summary."""
+    def finish(self, enclosed: Iterable[Enclosed] = (), side: Iterable[SideFile] = ()) -> None:
+        """Write the index, side files, what the log encloses, and the summary."""
         self._attach("index.json", self._index)
         if any(self._movable_index):
             self._attach("movable.json", self._movable_index)
+        for file in side:
+            self._enclose(side_record(file))
         for found in enclosed:
             self._enclose(passing_enclosed(found))
         self._record(DataEnd(self._crc))
@@ -268,9 +290,16 @@ class ArchiveWriter:
 
 
 def write_archive(
-    path: Path, facts: ArchiveFacts, gops: Iterable[list[ScanPayload]], log: PassingLog | None = None
+    path: Path,
+    facts: ArchiveFacts,
+    gops: Iterable[list[ScanPayload]],
+    log: PassingLog | None = None,
+    side: Iterable[SideFile] = (),
 ) -> None:
-    """Write a whole archive, atomically; what passes through from a ``log`` stands before later scans."""
+    """Write a whole archive, atomically; what passes through from a ``log`` stands before later scans.
+
+    ``side`` files are asked for when all scans are written.
+    """
     with atomic(path) as stream:
         writer = ArchiveWriter(stream, facts, log.channels if log else ())
         for payloads in gops:
@@ -280,4 +309,4 @@ def write_archive(
             writer.add_gop(payloads)
         for messages in log.until(None) if log else ():
             writer.pass_messages(messages)
-        writer.finish(log.enclosed if log else ())
+        writer.finish(log.enclosed if log else (), side)

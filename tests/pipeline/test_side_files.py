@@ -1,0 +1,322 @@
+"""The whole sequence in its archive: labels and small files come back byte for byte, are checked, redacted, recovered."""
+
+import filecmp
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from salpcc.pipeline import Archive
+from salpcc.pipeline.cli.app import app
+from salpcc.pipeline.cut import Selection, cut
+from salpcc.pipeline.merge import merge
+from salpcc.pipeline.recover import recover
+from salpcc.pipeline.redact import redact
+from salpcc.pipeline.run import RunResult
+from salpcc.schemas.errors import LogWarning, UsageError
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.side_files import SideFile
+from salpcc.stages.residual_code.archive.writer import write_archive
+
+LAYERED = {"keep_movable": False, "labels": "given", "effort": "fast"}
+
+
+def command(*arguments: object) -> tuple[int, str]:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return result.exit_code, result.output
+
+
+def same(one: Path, other: Path) -> bool:
+    """``diff -r`` of two folders finds nothing."""
+    found = filecmp.dircmp(one, other, ignore=[])
+    names = found.left_only or found.right_only or found.common_funny
+    equal = not names and not any(filecmp.cmpfiles(one, other, found.common_files, shallow=False)[1:])
+    return equal and all(same(one / name, other / name) for name in found.common_dirs)
+
+
+@pytest.fixture(scope="module")
+def root(toy_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sequence with all that may lie in its folder."""
+    root = tmp_path_factory.mktemp("whole")
+    shutil.copytree(toy_root / "sequences" / "00", root / "sequences" / "00")
+    folder = root / "sequences" / "00"
+    (folder / "calib.txt").write_bytes(b"Tr: 1 0 0 0 0 1 0 0 0 0 1 0\r\n")
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 6)
+    (folder / "empty.txt").write_bytes(b"")
+    (folder / "notes").mkdir()
+    (folder / "notes" / "réadme.md").write_text("überall\n")
+    return root
+
+
+@pytest.fixture(scope="module")
+def whole(root: Path, tmp_path_factory: pytest.TempPathFactory, run: Callable[..., RunResult]) -> Path:
+    out = tmp_path_factory.mktemp("out")
+    assert not run(root, out, "00", **LAYERED).failed
+    return out / "archives" / "00.mcap"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [LAYERED, {"keep_movable": True, "effort": "fast"}, LAYERED | {"max_error": 0.02}, LAYERED | {"drop_movable": True}],
+    ids=["layered", "one layer", "lossy", "dropped"],
+)  # fmt: skip
+def test_the_folder_comes_back(
+    root: Path, tmp_path: Path, run: Callable[..., RunResult], options: dict
+) -> None:
+    assert not run(root, tmp_path, "00", **options).failed
+    path = tmp_path / "archives" / "00.mcap"
+    code, said = command("decode", path, "--to", "kitti", "--out", tmp_path / "back")
+    assert code == 0, said
+    back, folder = tmp_path / "back" / "sequences" / "00", root / "sequences" / "00"
+    if "drop_movable" not in options:
+        assert same(back / "labels", folder / "labels")
+    if "drop_movable" not in options and "max_error" not in options:
+        assert same(back, folder)
+    for name in ("calib.txt", "poses.txt", "times.txt", "empty.txt", "notes/réadme.md"):
+        assert (back / name).read_bytes() == (folder / name).read_bytes()
+    code, said = command("verify", path, "--against", root)
+    assert code == 0 and "labels of 5 scans, 5 side files" in said, said
+    with Archive.open(path) as archive:
+        for scan in archive:
+            assert scan.labels is not None and len(scan.labels) == len(scan)
+
+
+def test_of_some_frames_their_labels(root: Path, tmp_path: Path, run: Callable[..., RunResult]) -> None:
+    assert not run(root, tmp_path, "00", **LAYERED, frames=(1, 3)).failed
+    code, said = command(
+        "decode", tmp_path / "archives" / "00.mcap", "--to", "kitti", "--out", tmp_path / "back"
+    )
+    assert code == 0, said
+    back = tmp_path / "back" / "sequences" / "00"
+    assert sorted(file.name for file in (back / "labels").iterdir()) == ["000001.label", "000002.label"]
+    assert (back / "poses.txt").read_bytes() == (root / "sequences/00/poses.txt").read_bytes()
+
+
+def test_without_side_files(root: Path, tmp_path: Path, run: Callable[..., RunResult]) -> None:
+    """The archive says so, holds none of them, and has the version that it has always had."""
+    out = tmp_path / "out"
+    code, said = command(
+        "run", "sequences", "00", "--root", root, "--out", out, "--workers", 0, "--keep-movable", "--no-side-files",
+        "--effort", "fast", "--gop", 2,
+    )  # fmt: skip
+    assert code == 0 and "beside the points" not in said, said
+    reader = ArchiveReader(out / "archives" / "00.mcap")
+    assert not reader.side and not reader.has_labels and reader.facts.version == "1.1"
+    assert reader.facts.config["side_files"] is False
+    with pytest.raises(UsageError, match="another --side-files"):
+        run(root, out, "00", effort="fast")
+
+
+def test_payloads_are_the_same_with_and_without(
+    whole: Path, root: Path, tmp_path: Path, run: Callable[..., RunResult]
+) -> None:
+    assert not run(root, tmp_path, "00", **LAYERED, side_files=False).failed
+    one, two = ArchiveReader(whole), ArchiveReader(tmp_path / "archives" / "00.mcap")
+    for gop in range(3):
+        for left, right in (
+            (one.payloads(gop), two.payloads(gop)),
+            (one.movable_payloads(gop), two.movable_payloads(gop)),
+        ):
+            assert [p.data for p in left] == [p.data for p in right]
+            assert all(p.labels for p in left) and not any(p.labels for p in right)
+
+
+def test_figures_are_of_the_points(whole: Path) -> None:
+    """Labels and side files are told beside them, and in no rate."""
+    report = json.loads((whole.parents[1] / "report" / "report.json").read_text())["sequences"]["00"]
+    reader = ArchiveReader(whole)
+    assert report["labels"] == {"scans": 5, "bytes": reader.labels_bytes}
+    assert report["side_files"] == {"files": 5, "bytes": sum(reader.side.values())}
+    beside = reader.labels_bytes + sum(reader.side.values())
+    assert report["bytes"]["total"] + beside == reader.size
+    found = json.loads(command("inspect", whole, "--json")[1])
+    assert found["side_files"]["poses.txt"] == reader.side["poses.txt"]
+    assert found["bytes_labels"] == reader.labels_bytes > 0
+    assert "poses.txt" in command("inspect", whole)[1]
+
+
+def test_a_run_again_reads_nothing_and_one_of_other_files_is_refused(
+    root: Path, tmp_path: Path, run: Callable[..., RunResult]
+) -> None:
+    mine = tmp_path / "root"
+    shutil.copytree(root, mine)
+    folder = mine / "sequences" / "00"
+    for file in [*folder.rglob("*.*")]:
+        if file.is_file():
+            os.utime(file, (1e9, 1e9))
+    out = tmp_path / "out"
+    run(mine, out, "00", **LAYERED)
+    before = (out / "archives" / "00.mcap").read_bytes()
+    assert not run(mine, out, "00", **LAYERED).failed
+    assert (out / "archives" / "00.mcap").read_bytes() == before
+    for name in ("poses.txt", "labels/000003.label"):
+        held = (folder / name).read_bytes()
+        (folder / name).write_bytes(b"\x0a" + held[1:] if name.endswith("label") else held + b"\n")
+        with pytest.raises(UsageError, match="other content"):
+            run(mine, out, "00", **LAYERED)
+        (folder / name).write_bytes(held)
+    (folder / "new.txt").write_text("one more")
+    with pytest.raises(UsageError, match="other content"):
+        run(mine, out, "00", **LAYERED)
+
+
+def test_labels_that_fit_no_points_are_kept_as_they_are(
+    root: Path, tmp_path: Path, run: Callable[..., RunResult]
+) -> None:
+    mine = tmp_path / "root"
+    shutil.copytree(root, mine)
+    folder = mine / "sequences" / "00"
+    (folder / "labels" / "000001.label").write_bytes(b"\x01\x02\x03")
+    assert not run(mine, tmp_path / "out", "00", keep_movable=True, effort="fast").failed
+    path = tmp_path / "out" / "archives" / "00.mcap"
+    code, said = command("decode", path, "--to", "kitti", "--out", tmp_path / "back")
+    assert code == 0 and same(tmp_path / "back" / "sequences" / "00", folder), said
+    code, said = command("verify", path, "--against", mine)
+    assert code == 0 and "labels of 4 scans, 6 side files" in said, said
+
+
+def test_what_is_no_small_text_stays_behind_and_is_told(
+    root: Path, tmp_path: Path, run: Callable[..., RunResult]
+) -> None:
+    mine = tmp_path / "root"
+    shutil.copytree(root, mine)
+    folder = mine / "sequences" / "00"
+    (folder / "image_2").mkdir()
+    for name in ("image_2/1.png", "image_2/2.png", "table.bin", "labels/000099.label", ".hidden.txt"):
+        (folder / name).write_bytes(b"\0\1")
+    (folder / "odd.txt").write_bytes(b"a\0b")
+    with pytest.warns(LogWarning) as said:
+        run(mine, tmp_path / "out", "00", **LAYERED)
+    told = " ".join(str(warning.message) for warning in said)
+    assert "image_2 (2 files), labels, table.bin" in told and "odd.txt: no text" in told
+    assert "hidden" not in told
+    assert sorted(ArchiveReader(tmp_path / "out/archives/00.mcap").side) == sorted(
+        ["calib.txt", "empty.txt", "notes/réadme.md", "poses.txt", "times.txt"]
+    )
+
+
+def test_verify_finds_other_content(whole: Path, root: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "root"
+    shutil.copytree(root, mine)
+    folder = mine / "sequences" / "00"
+    labels = np.fromfile(folder / "labels" / "000002.label", np.uint32)
+    labels[7] ^= 1 << 16
+    labels.tofile(folder / "labels" / "000002.label")
+    (folder / "times.txt").unlink()
+    (folder / "calib.txt").write_text("other")
+    code, said = command("verify", whole, "--against", mine)
+    assert code == 1
+    for problem in ("scan 000002: its labels", "side file times.txt: not in", "side file calib.txt: differs"):
+        assert problem in said
+
+
+def test_redaction_leaves_no_label_of_what_went(whole: Path, root: Path, tmp_path: Path) -> None:
+    out = tmp_path / "public.mcap"
+    redact(whole, out)
+    reader = ArchiveReader(out)
+    assert (
+        reader.movable == "dropped"
+        and reader.has_labels
+        and reader.side.keys() == ArchiveReader(whole).side.keys()
+    )
+    code, said = command("verify", out, "--redacted-from", tmp_path / "public.json")
+    assert code == 0, said
+    car, moving = np.array([10 | 7 << 16, 252 | 7 << 16], "<u4")
+    with Archive.open(out) as archive, Archive.open(whole, layers="static") as static:
+        for left, right in zip(archive, static, strict=True):
+            assert (left.labels == right.labels).all() and not np.isin(left.labels, [car, moving]).any()
+    for label in (car, moving):
+        assert label.tobytes() in whole.read_bytes() and label.tobytes() not in out.read_bytes()
+    code, said = command(
+        "redact", whole, "--out", tmp_path / "some.mcap", "--frames", "2:4", "--classes", "car"
+    )
+    assert code == 0, said
+    with Archive.open(tmp_path / "some.mcap") as some, Archive.open(whole) as all_:
+        for at, (left, right) in enumerate(zip(some, all_, strict=True)):
+            gone = np.isin(right.labels & 0xFFFF, [10, 252]) if at in (2, 3) else np.zeros(len(right), bool)
+            assert (left.labels == right.labels[~gone]).all()
+
+
+def test_recovery(whole: Path, tmp_path: Path) -> None:
+    """What is whole comes back, labels and side files, too; the names of what is gone are told."""
+    data = whole.read_bytes()
+    again = recover(whole, tmp_path / "again.mcap")
+    assert again.complete and (tmp_path / "again.mcap").read_bytes() == data
+    reader = ArchiveReader(whole)
+    bad = tmp_path / "bad.mcap"
+    labels = reader.payloads(0)[0].labels
+    bad.write_bytes(data.replace(labels, labels[:-9] + bytes(9)))
+    found = recover(bad, tmp_path / "labels.mcap")
+    assert found.scans == 5 and found.notes == ["labels gone of scan 000000"]
+    with Archive.open(tmp_path / "labels.mcap") as archive:
+        assert [scan.labels is None for scan in archive] == [True, False, False, False, False]
+    at = data.find(b"side:poses.txt") + 50
+    bad.write_bytes(data[:at] + bytes([data[at] ^ 8]) + data[at + 1 :])
+    found = recover(bad, tmp_path / "side.mcap")
+    assert found.scans == 5 and found.notes == ["1 side files are gone"]
+    assert sorted(ArchiveReader(tmp_path / "side.mcap").side) == sorted(reader.side.keys() - {"poses.txt"})
+    end = data.find(b"gop.json", data.find(b"gop.json") + 9)  # the first GOP is whole, nothing behind it
+    bad.write_bytes(data[: data.find(b"gop.json", end + 20)])
+    found = recover(bad, tmp_path / "cut.mcap")
+    with Archive.open(tmp_path / "cut.mcap") as archive, Archive.open(whole) as before:
+        assert all((left.labels == right.labels).all() for left, right in zip(archive, before, strict=False))
+        assert len(archive) >= 2
+
+
+def test_parts_have_their_labels_and_all_side_files(whole: Path, tmp_path: Path) -> None:
+    """Also those that are coded anew, and parts put together; other content under one name is refused."""
+    counts = [cut(whole, tmp_path / f"{a}.mcap", Selection(frames=(a, b))) for a, b in ((0, 3), (3, 5))]
+    assert [count.anew for count in counts] == [0, 1]
+    merge([tmp_path / "0.mcap", tmp_path / "3.mcap"], tmp_path / "00.mcap")
+    before = ArchiveReader(whole)
+    with Archive.open(whole) as left, Archive.open(tmp_path / "00.mcap") as right:
+        assert [scan.name for scan in right] == [scan.name for scan in left]
+        assert all((one.labels == two.labels).all() for one, two in zip(left, right, strict=True))
+        assert {name: right.side_file(name) for name in right.side} == {
+            n: left.side_file(n) for n in left.side
+        }
+    part = ArchiveReader(tmp_path / "3.mcap")
+    pairs = zip(part.payloads(1), part.movable_payloads(1), strict=True)
+    gops, other = [[replace(one, movable=two) for one, two in pairs]], [SideFile("poses.txt", b"other")]
+    write_archive(tmp_path / "x.mcap", part.facts, gops, side=other)
+    with pytest.raises(UsageError, match=r"another poses\.txt"):
+        merge([tmp_path / "0.mcap", tmp_path / "x.mcap"], tmp_path / "y.mcap")
+    facts = replace(part.facts, sequence="07")
+    write_archive(tmp_path / "07.mcap", facts, gops, side=other)
+    merge([tmp_path / "0.mcap", tmp_path / "07.mcap"], tmp_path / "two.mcap")
+    both = ArchiveReader(tmp_path / "two.mcap")
+    assert both.side.keys() == {f"00/{name}" for name in before.side} | {"07/poses.txt"}
+
+
+def test_raw_drives_keep_their_time_stamps_and_oxts(
+    toy_root: Path, tmp_path: Path, run: Callable[..., RunResult]
+) -> None:
+    drive = tmp_path / "root" / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    data = drive / "velodyne_points" / "data"
+    data.mkdir(parents=True)
+    for number in range(2):
+        shutil.copy(toy_root / "sequences/00/velodyne" / f"{number:06d}.bin", data / f"{number:010d}.bin")
+    (drive / "oxts" / "data").mkdir(parents=True)
+    stamps = "".join(f"2011-09-26 13:02:25.{n}51199337\n" for n in range(2))
+    (drive / "velodyne_points" / "timestamps.txt").write_text(stamps)
+    for number in range(2):
+        (drive / "oxts" / "data" / f"{number:010d}.txt").write_text(f"49.01{number} 8.43 112.8\n")
+    (drive / "oxts" / "dataformat.txt").write_text("lat: latitude\n")
+    name = drive.name
+    assert not run(
+        tmp_path / "root", tmp_path / "out", name, source="kitti_raw", keep_movable=True, effort="fast"
+    ).failed
+    path = tmp_path / "out" / "archives" / f"{name}.mcap"
+    code, said = command("decode", path, "--to", "kitti", "--out", tmp_path / "back")
+    assert code == 0, said
+    back = tmp_path / "back" / "sequences" / name
+    assert same(back / "oxts", drive / "oxts") and not (back / "times.txt").exists()
+    assert (back / "velodyne_points" / "timestamps.txt").read_text() == stamps
+    code, said = command("verify", path, "--against", tmp_path / "root")
+    assert code == 0, said
