@@ -27,8 +27,10 @@ from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.schemas.work import Movable
+from salpcc.stages.ingest.sources.velodyne_bin import NOMINAL_PERIOD_NS
+from salpcc.stages.lattice.frame import FRAMES, Frame
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.archive.format import ScanPayload
+from salpcc.stages.residual_code.archive.format import ScanPayload, frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.salvage import Salvage
 from salpcc.stages.residual_code.gop import decode_any, layered_scan, scan_of
@@ -39,6 +41,7 @@ from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 Layers = Literal["all", "static", "movable"]
 LAYERS: tuple[str, ...] = get_args(Layers)
 
+_FASTEST, _SLOWEST = 10**7, 10**9  # nanoseconds of a turn that can be
 _SHOWN = 5  # scans of each end in a notebook
 
 
@@ -58,7 +61,11 @@ def check_layers(reader: ArchiveReader, layers: Layers) -> None:
 
 
 def decode_scans(
-    reader: ArchiveReader | Salvage, gop: int, layers: Layers = "all", labels: bool = False
+    reader: ArchiveReader | Salvage,
+    gop: int,
+    layers: Layers = "all",
+    labels: bool = False,
+    frame: Frame = "recorded",
 ) -> Iterator[Scan]:
     """Decode the scans of one GOP, one after the other.
 
@@ -66,10 +73,12 @@ def decode_scans(
         layers: ``static`` reads no byte of the movable layer's chunks; ``all`` is the scans as they were recorded, as far
             as the archive holds them.
         labels: decode the labels that the archive holds, too.
+        frame: in which the points are given (:mod:`salpcc.stages.lattice.frame`).
 
     Raises:
         ArchiveError: a payload is damaged, or the movable layer asked for is gone; the message names the first scan that
             did not come back.
+        UsageError: a scan is in no such frame.
     """
     layered = layers != "static" and reader.movable == "layered"
     payloads = reader.payloads(gop)
@@ -77,27 +86,45 @@ def decode_scans(
         movable = reader.movable_payloads(gop)
         pairs = zip_longest(payloads, movable[: len(payloads)])
         payloads = [replace(payload, movable=layer) for payload, layer in pairs]
-    scans = decoded_scans(payloads, reader.facts.sensor, layered, layers == "movable", labels)
+    turn = 0 if frame == "recorded" or isinstance(reader, Salvage) else turn_ns(reader)
+    scans = decoded_scans(payloads, reader.facts.sensor, layered, layers == "movable", labels, frame, turn)
     for payload in payloads:
         try:
             yield next(scans)
         except StopIteration:
             raise ArchiveError(f"{reader.path}: scan {payload.entry.name} is missing from its GOP") from None
-        except ArchiveError as error:
-            raise ArchiveError(f"{reader.path}: scan {payload.entry.name}: {error}") from error
+        except (ArchiveError, UsageError) as error:
+            raise type(error)(f"{reader.path}: scan {payload.entry.name}: {error}") from error
+
+
+def turn_ns(reader: ArchiveReader) -> int:
+    """Nanoseconds of a turn of the sensor: the mean of the archive, by its scans' times and frame numbers, else 0.1 s."""
+    names = [entry.name for gop in reader.gops for entry in gop]
+    first, last = reader.span
+    turns = frame_number(names[-1], len(names) - 1) - frame_number(names[0], 0) if names else 0
+    turn = (last - first) // turns if turns > 0 else 0
+    return turn if _FASTEST <= turn <= _SLOWEST else NOMINAL_PERIOD_NS
 
 
 def decoded_scans(
-    payloads: list[ScanPayload], sensor: SensorModel, layered: bool, alone: bool = False, labels: bool = False
+    payloads: list[ScanPayload],
+    sensor: SensorModel,
+    layered: bool,
+    alone: bool = False,
+    labels: bool = False,
+    frame: Frame = "recorded",
+    turn: int = 0,
 ) -> Iterator[Scan]:
     """Decode the payloads of one GOP.
 
     Args:
         layered: take their movable layers, too; ``alone``: give these only.
         labels: decode the labels, where there are some.
+        frame, turn: in which the points are given, and the nanoseconds of a turn.
 
     Raises:
         ArchiveError: the next payload is damaged, or lacks its movable layer.
+        UsageError: the next scan is in no such frame.
     """
     state = GopState(sensor)
     sweeps = decode_any((payload.data for payload in payloads), sensor)
@@ -111,9 +138,9 @@ def decoded_scans(
             moving = decode_scan(payload.movable.data, sensor, state, sweep)
             if labels:
                 moving = labelled(moving, payload.movable.labels, sensor)
-            scan = layered_scan(sweep, moving, sensor, alone)
+            scan = layered_scan(sweep, moving, sensor, alone, frame, turn)
         else:
-            scan = scan_of(sweep, sensor)
+            scan = scan_of(sweep, sensor, frame, turn)
         yield replace(scan, name=payload.entry.name, time=payload.time, frame_id=payload.frame_id)
 
 
@@ -123,6 +150,7 @@ def decode_groups(
     threads: int = 1,
     layers: Layers = "all",
     labels: bool = False,
+    frame: Frame = "recorded",
 ) -> Iterator[Iterator[Scan]]:
     """Decode GOPs, one iterator of scans for each; with several threads, as many GOPs at once.
 
@@ -131,13 +159,13 @@ def decode_groups(
     with any number; an iterator raises what :func:`decode_scans` does, after the same scans.
     """
     if threads <= 1:
-        yield from (decode_scans(reader, gop, layers, labels) for gop in gops)
+        yield from (decode_scans(reader, gop, layers, labels, frame) for gop in gops)
         return
     ahead: deque[Future[tuple[list[Scan], Exception | None]]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
             for gop in gops:
-                ahead.append(pool.submit(_decoded, reader, gop, layers, labels))
+                ahead.append(pool.submit(_decoded, reader, gop, layers, labels, frame))
                 if len(ahead) > threads:
                     yield _given(*ahead.popleft().result())
             while ahead:
@@ -148,11 +176,11 @@ def decode_groups(
 
 
 def _decoded(
-    reader: ArchiveReader | Salvage, gop: int, layers: Layers, labels: bool
+    reader: ArchiveReader | Salvage, gop: int, layers: Layers, labels: bool, frame: Frame
 ) -> tuple[list[Scan], Exception | None]:
     scans: list[Scan] = []
     try:
-        scans.extend(decode_scans(reader, gop, layers, labels))  # keeps those before an error
+        scans.extend(decode_scans(reader, gop, layers, labels, frame))  # keeps those before an error
     except Exception as error:  # noqa: BLE001 (whoever asks for the scan gets it)
         return scans, error
     return scans, None
@@ -174,6 +202,7 @@ def _detached(scan: Scan) -> Scan:
         motion=None if scan.motion is None else scan.motion.copy(),
         movable=None if scan.movable is None else scan.movable.copy(),
         labels=None if scan.labels is None else scan.labels.copy(),
+        offset=None if scan.offset is None else scan.offset.copy(),
         cloud=scan.cloud and replace(scan.cloud, rest=scan.cloud.rest.copy()),
     )
 
@@ -190,7 +219,9 @@ class Archive(Sequence[Scan]):
     _decoded: list[Scan]  # its scans so far
     _decoder: Iterator[Scan]  # gives the rest
 
-    def __init__(self, path: str | Path, threads: int = 1, layers: Layers = "all") -> None:
+    def __init__(
+        self, path: str | Path, threads: int = 1, layers: Layers = "all", frame: Frame = "recorded"
+    ) -> None:
         """Open an archive.
 
         Args:
@@ -198,24 +229,30 @@ class Archive(Sequence[Scan]):
             threads: GOPs that are decoded at once while one iterates, and kept in memory; the scans are the same.
             layers: ``all`` there is, as it was recorded; ``static`` without what may move, of which no byte is read;
                 ``movable`` that alone.
+            frame: ``recorded``; ``sensor``, as it was measured, motion compensation undone; ``start`` or ``end``, as seen
+                from where the sensor was then. Of these, scans have an ``offset`` a point.
 
         Raises:
             ArchiveError: not an archive, damaged, truncated, or of a newer major version.
-            UsageError: the archive has no such layer.
+            UsageError: the archive has no such layer; there is no such frame.
         """
+        if frame not in FRAMES:
+            raise UsageError(f"frame {frame!r}: choose from {', '.join(FRAMES)}")
         if layers not in LAYERS:
             raise UsageError(f"layers {layers!r}: choose from {', '.join(LAYERS)}")
         self._reader = ArchiveReader(path)
-        self._layers = layers
+        self._layers, self._frame = layers, frame
         check_layers(self._reader, layers)
         self._threads = threads
         self._places = [(g, i) for g, gop in enumerate(self._reader.gops) for i in range(len(gop))]
         self._forget()
 
     @classmethod
-    def open(cls, path: str | Path, threads: int = 1, layers: Layers = "all") -> Archive:
+    def open(
+        cls, path: str | Path, threads: int = 1, layers: Layers = "all", frame: Frame = "recorded"
+    ) -> Archive:
         """Open an archive; the same as the constructor, reads well in a ``with`` statement."""
-        return cls(path, threads, layers)
+        return cls(path, threads, layers, frame)
 
     def __enter__(self) -> Self:
         return self
@@ -326,7 +363,7 @@ class Archive(Sequence[Scan]):
             raise IndexError(f"scan {index} of {len(self)}")
         gop, place = self._places[index]
         if gop != self._gop:
-            decoder = decode_scans(self._reader, gop, self._layers, labels=True)
+            decoder = decode_scans(self._reader, gop, self._layers, True, self._frame)
             self._gop, self._decoded, self._decoder = gop, [], decoder
         try:
             while len(self._decoded) <= place:
@@ -338,7 +375,7 @@ class Archive(Sequence[Scan]):
 
     def __iter__(self) -> Iterator[Scan]:
         gops = range(len(self._reader.gops))
-        for scans in decode_groups(self._reader, gops, self._threads, self._layers, labels=True):
+        for scans in decode_groups(self._reader, gops, self._threads, self._layers, True, self._frame):
             yield from map(_detached, scans)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -346,12 +383,13 @@ class Archive(Sequence[Scan]):
             "reader": self._reader,
             "threads": self._threads,
             "layers": self._layers,
+            "frame": self._frame,
             "places": self._places,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self._reader, self._threads, self._places = state["reader"], state["threads"], state["places"]
-        self._layers = state["layers"]
+        self._layers, self._frame = state["layers"], state["frame"]
         self._forget()
 
     def _forget(self) -> None:

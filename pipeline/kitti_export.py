@@ -36,6 +36,8 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         if (labels := label_bytes(scan)) is not None:
             _write_new(folder / "labels" / f"{scan.name}.label", labels, "labels are")
         times[scan.name] = scan.time
+        if scan.offset is not None:
+            behind.add("when each was measured (t)")
         yield path
     for name in archive.side if times else ():
         _write_new(folder / name, archive.side_file(name), "content is")

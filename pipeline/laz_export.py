@@ -108,6 +108,8 @@ def _file(archive: Archive, scan: Scan, factor: int, system: Any) -> _File:
     las.return_number = np.ones(len(las.xyz), np.uint8)
     las.number_of_returns = np.ones(len(las.xyz), np.uint8)
     las.gps_time = np.full(len(las.xyz), adjusted_gps_time(scan.time) if calendar else scan.time / 1e9)
+    if scan.offset is not None:
+        las.gps_time += scan.offset[kept] / 1e9
     if scan.classes is not None:
         las.classification, las.user_data = ASPRS_OF_CLASS[scan.classes][kept], scan.classes[kept]
     for of, name in names.items():
@@ -121,7 +123,7 @@ def _file(archive: Archive, scan: Scan, factor: int, system: Any) -> _File:
     about = text_record(
         f"{archive.sequence}, scan {scan.name}, frame {scan.frame_id}, {scan.time} ns {topic_of(scan)}",
         unit,
-        f"gps_time: of the scan, {clock}",
+        f"gps_time: of the {'scan' if scan.offset is None else 'point'}, {clock}",
         f"user_data: {'no classes' if scan.classes is None else classes}",
     )
     header.vlrs.append(about)

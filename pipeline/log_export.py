@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import yaml
 from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Connection
@@ -22,7 +23,7 @@ from salpcc.pipeline.tell import Tell, in_silence
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic, atomic_file
 from salpcc.schemas.log import LogChannel, LogMessage, LogMetadata
-from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
+from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, XYZI, CloudMessage
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import scan_to_message
 from salpcc.stages.ingest.sources.bag import channels_of
@@ -152,9 +153,16 @@ def _message(archive: Archive, scan: Scan, place: int) -> tuple[LogChannel, LogM
     if cloud is not None and not archive.log:  # a file of more than four columns
         return _POINTS, LogMessage(1, scan.time, scan.time, place, scan_to_message(scan))
     if cloud is None:
-        data = points_to_bytes(scan.points, scan.intensity)
+        data, fields = points_to_bytes(scan.points, scan.intensity), XYZI
+        if scan.offset is not None:
+            rows = np.frombuffer(data, np.uint8).reshape(-1, 16)
+            offset = scan.offset.astype("<i4").view(np.uint8).reshape(-1, 4)
+            data, fields = np.hstack([rows, offset]).tobytes(), (*XYZI, ("t", 16, 5, 1))  # int32
         dense = bool((scan.points - scan.points == 0).all())  # neither NaN nor infinite
-        message = CloudMessage(scan.time, scan.frame_id, len(scan), data, is_dense=dense)
+        step = 4 * len(fields)
+        message = CloudMessage(
+            scan.time, scan.frame_id, len(scan), data, is_dense=dense, point_step=step, fields=fields
+        )
         return _POINTS, LogMessage(1, scan.time, scan.time, place, message.to_cdr())
     for channel in channels_of(cloud, archive.log):
         if cloud.channel in (0, channel.id):

@@ -28,6 +28,8 @@ class Scan:
             not compensated.
         cloud: what else its message held, where it came from a recorded log. ``intensity`` is then the
             field of that name as float32, zeros without one.
+        offset: ``(N,)`` int32, nanoseconds from ``time`` to when each point was measured, where a frame other than the
+            recorded one was asked for; else None.
         movable: ``(N,)`` bool, which points the archive holds in its movable layer, or None where all are in one.
     """
 
@@ -41,6 +43,7 @@ class Scan:
     cloud: Cloud | None = None
     movable: NDArray[np.bool_] | None = None
     labels: NDArray[np.uint32] | None = None
+    offset: NDArray[np.int32] | None = None
 
     def __len__(self) -> int:
         return len(self.points)

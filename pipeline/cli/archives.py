@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from salpcc.pipeline.archive import Archive, Layers
     from salpcc.pipeline.export import Export
     from salpcc.schemas.scan import Scan
+    from salpcc.stages.lattice.frame import Frame
 
 Path_ = Annotated[
     Path,
@@ -66,6 +67,13 @@ def decode(
             metavar="LAYERS", help="Which layers: all, static, or movable; static reads no byte of the other."
         ),
     ] = "all",
+    frame: Annotated[
+        str,
+        typer.Option(
+            metavar="FRAME",
+            help="recorded; sensor, as it was measured, motion compensation undone; start or end of the turn.",
+        ),
+    ] = "recorded",
     threads: Threads = None,
 ) -> None:
     """Turn an archive back into scans, bit for bit where it was made so."""
@@ -78,7 +86,8 @@ def decode(
     if crs and to != "laz":
         raise UsageError(f"--crs: --to {to} has no place for it; --to laz has")
     export: Export = partial(to_laz, crs=crs) if crs else EXPORTS[to]
-    with Archive.open(archive, threads or cores(), cast("Layers", layers)) as opened:
+    asked = cast("Layers", layers), cast("Frame", frame)
+    with Archive.open(archive, threads or cores(), *asked) as opened:
         count = 0
         for path in export(
             opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True, markup=False)

@@ -104,12 +104,14 @@ def scan_columns(scan: Scan) -> dict[str, NDArray[Any]]:
     Further elements of a field, and a field named like one before it, go under names that are free: NAME_1, NAME_2 …
     """
     if scan.cloud is None:
-        return dict(zip(("x", "y", "z", "intensity"), (*scan.points.T, scan.intensity), strict=True))
+        columns: dict[str, NDArray[Any]] = dict(zip("xyz", scan.points.T, strict=True))
+        columns["intensity"] = scan.intensity
+        return columns if scan.offset is None else columns | {"t": scan.offset}
     layout = scan.cloud.layout
     rows = point_rows(scan)
     names = [re.sub("[^!-~]", "_", field.name) or "unnamed" for field in layout.fields]
     taken = set(names)
-    columns: dict[str, NDArray[Any]] = {}
+    columns = {}
     for name, field in zip(names, layout.fields, strict=True):
         kind = field.dtype.newbyteorder(">" if layout.big_endian else "<")
         for element in range(max(field.count, 1)):  # some drivers say 0 and mean 1

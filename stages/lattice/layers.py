@@ -7,6 +7,7 @@ many of its returns come before (:attr:`salpcc.schemas.sweep.Sweep.lead`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -74,16 +75,28 @@ def movable_mask(static: Sweep, movable: Sweep, sensor: SensorModel) -> NDArray[
     return mask
 
 
-def both(static: Sweep, movable: Sweep, sensor: SensorModel) -> Scan:
-    """Return the scan of both layers, its points in file order."""
+def both(
+    static: Sweep,
+    movable: Sweep,
+    sensor: SensorModel,
+    scan_of: Callable[[Sweep], Scan] | None = None,
+) -> Scan:
+    """Return the scan of both layers, its points in file order.
+
+    Args:
+        scan_of: makes a scan of each layer; None is :func:`~.sweep.sweep_to_scan`.
+    """
     mask = movable_mask(static, movable, sensor)
-    a, b = sweep_to_scan(static, sensor), sweep_to_scan(alone(movable, mask), sensor)
+    layers = static, alone(movable, mask)
+    a, b = (scan_of(layer) if scan_of else sweep_to_scan(layer, sensor) for layer in layers)
     classes = None
     if a.classes is not None and b.classes is not None:
         classes = _merged(mask, a.classes, b.classes)
-    labels = None
+    labels = offset = None
     if a.labels is not None and b.labels is not None:
         labels = _merged(mask, a.labels, b.labels)
+    if a.offset is not None and b.offset is not None:
+        offset = _merged(mask, a.offset, b.offset)
     cloud = a.cloud
     if a.cloud is not None and b.cloud is not None:
         rest, whole = _merged(mask, a.cloud.rest, b.cloud.rest), len(mask) == static.n_points
@@ -98,6 +111,7 @@ def both(static: Sweep, movable: Sweep, sensor: SensorModel) -> Scan:
         cloud=cloud,
         movable=mask,
         labels=labels,
+        offset=offset,
     )
 
 

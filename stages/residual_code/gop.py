@@ -9,15 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
+from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.paper_grid import grid_to_scan
+from salpcc.stages.lattice.frame import Frame, sweep_in_frame
 from salpcc.stages.lattice.layers import alone as of_its_own
 from salpcc.stages.lattice.layers import both, movable_mask
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.predict.values import predict_sweeps
 from salpcc.stages.residual_code.paper.grid_coder import decode_grids
 from salpcc.stages.residual_code.paper.grid_header import GRID_CODEC
@@ -71,9 +72,19 @@ def decode_any(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep
     return decode_grids(given)
 
 
-def scan_of(sweep: Sweep | GridSweep, sensor: SensorModel) -> Scan:
-    """Return the scan of a decoded sweep of either profile."""
-    return grid_to_scan(sweep) if isinstance(sweep, GridSweep) else sweep_to_scan(sweep, sensor)
+def scan_of(
+    sweep: Sweep | GridSweep, sensor: SensorModel, frame: Frame = "recorded", turn_ns: int = 0
+) -> Scan:
+    """Return the scan of a decoded sweep of either profile, in a frame (:mod:`salpcc.stages.lattice.frame`).
+
+    Raises:
+        UsageError: the scan is in no frame but the recorded one.
+    """
+    if isinstance(sweep, GridSweep):
+        if frame != "recorded":
+            raise UsageError("the grid of the profile paper has no frame but --frame recorded")
+        return grid_to_scan(sweep)
+    return sweep_in_frame(sweep, sensor, frame, turn_ns, raw=len(sweep.laser) > 0)
 
 
 def decode_gop(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep]:
@@ -87,12 +98,22 @@ def decode_gop(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep
         yield decode_scan(data, sensor, state)
 
 
-def layered_scan(static: Sweep, movable: Sweep, sensor: SensorModel, alone: bool = False) -> Scan:
-    """Return the scan of two decoded layers, or (``alone``) of the movable one.
+def layered_scan(
+    static: Sweep,
+    movable: Sweep,
+    sensor: SensorModel,
+    alone: bool = False,
+    frame: Frame = "recorded",
+    turn_ns: int = 0,
+) -> Scan:
+    """Return the scan of two decoded layers, or (``alone``) of the movable one; frames as in :func:`scan_of`.
 
     Raises:
         ArchiveError: they do not fit one another.
+        UsageError: as there.
     """
+    raw = len(static.laser) > 0
     if alone:
-        return sweep_to_scan(of_its_own(movable, movable_mask(static, movable, sensor)), sensor)
-    return both(static, movable, sensor)
+        own = of_its_own(movable, movable_mask(static, movable, sensor))
+        return sweep_in_frame(own, sensor, frame, turn_ns, raw)
+    return both(static, movable, sensor, lambda layer: sweep_in_frame(layer, sensor, frame, turn_ns, raw))

@@ -44,7 +44,7 @@ class ScanEntry:
         """Bytes of the payload."""
         return self.geometry + self.intensity + self.classes + self.side
 
-    def of_sizes(self, sizes: dict[str, int]) -> ScanEntry:
+    def of_sizes(self, sizes: dict[str, Any]) -> ScanEntry:
         """Return it with the bytes by group of another payload of the same scan."""
         return replace(self, **sizes)
 

@@ -47,7 +47,8 @@ def test_run_says_what_it_came_to(toy_root: Path, tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     lines = result.stdout.splitlines()
     assert all(len(line) <= 80 for line in lines if str(out) not in line)
-    ratio, exact, kept, layers, speed, codec = lines[-8:-2]
+    ratio, exact, kept, layers, beside, speed, codec = lines[-9:-2]
+    assert re.fullmatch(r"beside the points: labels of 3 scans, [\d.]+ kB; 1 side files, \d+ bytes", beside)
     assert layers == "kept: everything in one layer"
     assert re.fullmatch(r"\d+\.\d : 1, [\d.]+ kB to [\d.]+ kB, [\d.]+ bits a point", ratio)
     assert exact == "every bit of every point that is kept came back" and "points, all kept" in kept

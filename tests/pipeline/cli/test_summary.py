@@ -48,7 +48,7 @@ def test_many_groups_are_cut_short() -> None:
     rows = [{"gop": n, "name": f"{n:06d}", **counts, **streams} for n in range(200)]
     found = {
         "path": "x.mcap", "sequence": "x", "source": "bag", "config": {}, "sensor": "s", "lasers": 16, "scans": 200,
-        "seconds": 19.9, "topics": [], "bytes": 3000, "bytes_container": 600, "bytes_passing": 0,
+        "seconds": 19.9, "topics": [], "bytes": 3000, "bytes_container": 600, "bytes_passing": 0, "bytes_labels": 0, "side_files": {},
         "movable": "one layer", "layers": None,
         "totals": {name: 200 * count for name, count in {**counts, **streams}.items()}, "rows": rows,
     }  # fmt: skip
