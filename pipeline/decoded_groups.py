@@ -19,9 +19,9 @@ class DecodedGroups:
     pickled.
     """
 
-    def __init__(self, most: int, layers: Layers = "all") -> None:
-        """Keep ``most`` groups, of these layers."""
-        self.most, self.layers = most, layers
+    def __init__(self, most: int, layers: Layers = "all", labels: bool = False) -> None:
+        """Keep ``most`` groups, of these layers; ``labels``: with the labels of their points, where archives hold them."""
+        self.most, self.layers, self.labels = most, layers, labels
         self.decoded = 0  # groups that were begun, to see whether any was decoded twice
         self._groups: OrderedDict[tuple[str, int], _Group] = OrderedDict()
         self._lock = Lock()
@@ -36,7 +36,7 @@ class DecodedGroups:
         with self._lock:
             group = self._groups.get(key)
             if group is None:
-                group = self._groups[key] = _Group(decode_scans(reader, gop, self.layers, labels=True))
+                group = self._groups[key] = _Group(decode_scans(reader, gop, self.layers, self.labels))
                 self.decoded += 1
             self._groups.move_to_end(key)
             while len(self._groups) > self.most:
@@ -54,7 +54,7 @@ class DecodedGroups:
             self._groups.clear()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"most": self.most, "layers": self.layers}
+        return {"most": self.most, "layers": self.layers, "labels": self.labels}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(**state)  # type: ignore[misc]

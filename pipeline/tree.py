@@ -51,7 +51,7 @@ class ArchiveTree:
         """
         if layers not in LAYERS:
             raise UsageError(f"layers {layers!r}: choose from {', '.join(LAYERS)}")
-        self.groups = DecodedGroups(gops, layers)
+        self.groups = DecodedGroups(gops, layers, labels=True)
         self.files: dict[str, TreeFile] = {}
         self.folders: dict[str, dict[str, None]] = {"": {}}
         sequences: dict[str, Path] = {}

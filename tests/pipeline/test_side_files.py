@@ -19,6 +19,7 @@ from salpcc.pipeline.merge import merge
 from salpcc.pipeline.recover import recover
 from salpcc.pipeline.redact import redact
 from salpcc.pipeline.run import RunResult
+from salpcc.pipeline.tree import ArchiveTree
 from salpcc.schemas.errors import LogWarning, UsageError
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
@@ -292,6 +293,16 @@ def test_parts_have_their_labels_and_all_side_files(whole: Path, tmp_path: Path)
     merge([tmp_path / "0.mcap", tmp_path / "07.mcap"], tmp_path / "two.mcap")
     both = ArchiveReader(tmp_path / "two.mcap")
     assert both.side.keys() == {f"00/{name}" for name in before.side} | {"07/poses.txt"}
+
+
+def test_the_archive_as_a_folder_is_the_folder(whole: Path, root: Path) -> None:
+    folder = root / "sequences" / "00"
+    tree = ArchiveTree(whole)
+    there = {f"sequences/00/{p.relative_to(folder).as_posix()}": p for p in folder.rglob("*") if p.is_file()}
+    assert tree.files.keys() == there.keys()
+    for name, path in there.items():
+        assert tree.files[name].read() == path.read_bytes()
+        assert tree.files[name].size == path.stat().st_size
 
 
 def test_raw_drives_keep_their_time_stamps_and_oxts(

@@ -13,7 +13,7 @@ from salpcc.pipeline.archive import Archive
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop
 from salpcc.stages.residual_code.label_coder import decode_labels, encode_labels, labelled
-from salpcc.stages.residual_code.sensor.gop_models import GopModels
+from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 
 LABELS = Path(__file__).parents[2] / "golden" / "labels"
@@ -33,7 +33,7 @@ def test_decodes_to_the_same(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(EXPECTED))
 def test_labels_encode_to_the_same_bytes(name: str) -> None:
     reader = ArchiveReader(LABELS / name)
-    sensor, models = reader.facts.sensor, GopModels(reader.facts.sensor)
+    sensor, models = reader.facts.sensor, GopState(reader.facts.sensor)
     payloads = reader.payloads(0)
     layers = reader.movable_payloads(0) or [None] * len(payloads)
     for payload, layer, sweep in zip(
