@@ -12,6 +12,7 @@ import numpy as np
 from salpcc.schemas.errors import SensorError, SourceError, UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.calibrate.fit_sensor import Fit, fit_sensor, share_exact
+from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.ingest.sources.bag import Bag
 from salpcc.stages.ingest.sources.velodyne_bin import read_points, read_points_with_rings
 from salpcc.stages.lattice.find_lasers import Listed
@@ -138,7 +139,8 @@ def listed_of(scan: Scan) -> Listed:
         return Listed(points)
     layout = cloud.layout
     ring = cloud.rings()
-    return Listed(points, ring, layout.width if cloud.whole and layout.height > 1 else 0)
+    width = layout.width if cloud.whole and layout.height > 1 else 0
+    return Listed(points, ring, width, times_of(cloud))
 
 
 def _spread(things: list[Any], at_most: int) -> list[Any]:

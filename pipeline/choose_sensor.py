@@ -7,12 +7,17 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from salpcc.schemas.errors import LogWarning, SourceError
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.calibrate.fit_moved import may_be_of
+from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.ingest.sources.bag import Bag
 from salpcc.stages.lattice.aim import share_on
-from salpcc.stages.lattice.sensor_model import SENSORS, load_sensor
+from salpcc.stages.lattice.find_lasers import MOST_LASERS
+from salpcc.stages.lattice.list_motion import undo
+from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
+from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
 
 AUTO, OTHERWISE = "auto", "hdl64e"
 _CLOUDS = 2  # of each topic
@@ -30,23 +35,42 @@ def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> tuple[st
         clouds = _first_clouds(log, sequence, topics)
     if not clouds:
         return OTHERWISE, None
-    best = OTHERWISE, 0.0
-    for file in sorted(SENSORS.glob("*.json")):
-        sensor = load_sensor(file.stem)
-        share = float(np.mean([share_on(sensor, points) for points in clouds]))
-        if share > max(best[1], _LEAST):
-            best = file.stem, share
-    return best
+    sensors = [load_sensor(file.stem) for file in sorted(SENSORS.glob("*.json"))]
+    for share_of in (_share, _share_moved):
+        shares = [float(np.mean([share_of(sensor, scan) for scan in clouds])) for sensor in sensors]
+        best = int(np.argmax(shares))
+        if shares[best] > _LEAST:
+            return sensors[best].name, shares[best]
+    return OTHERWISE, 0.0
 
 
-def _first_clouds(log: Path, sequence: str, topics: tuple[str, ...]) -> list[NDArray[np.float32]]:
-    """The points of the first clouds of each topic that can be read and are not empty."""
+def _share(sensor: SensorModel, scan: Scan) -> float:
+    """Share of a cloud's returns on a lattice."""
+    return share_on(sensor, scan.points)
+
+
+def _share_moved(sensor: SensorModel, scan: Scan) -> float:
+    """Share of a cloud's returns on a lattice, once a motion by time is undone; 0 where there is none, or the cloud tells no rings and times."""
+    if scan.cloud is None or sensor.driver is None:
+        return 0.0
+    rings, times = scan.cloud.rings(), times_of(scan.cloud)
+    if rings is None or times is None or rings.max(initial=0) >= MOST_LASERS or not may_be_of(sensor, rings):
+        return 0.0
+    found = find_timed_motion(scan.points, sensor, times, rings.astype(np.uint8))
+    if found is None:
+        return 0.0
+    still = undo(scan.points.astype(np.float64), timed_places(times, found[1]), found[0])
+    return share_on(sensor, still.astype(np.float32))
+
+
+def _first_clouds(log: Path, sequence: str, topics: tuple[str, ...]) -> list[Scan]:
+    """The first clouds of each topic that can be read and are not empty."""
     bag = Bag()
     try:
         refs = bag.scans(log, sequence, topics)
     except SourceError:  # the run will say so
         return []
-    clouds: list[NDArray[np.float32]] = []
+    clouds: list[Scan] = []
     for topic in sorted({ref.topic for ref in refs}):
         for ref in islice((ref for ref in refs if ref.topic == topic), _CLOUDS):
             try:
@@ -54,5 +78,5 @@ def _first_clouds(log: Path, sequence: str, topics: tuple[str, ...]) -> list[NDA
             except SourceError:
                 continue
             if len(scan):
-                clouds.append(scan.points)
+                clouds.append(scan)
     return clouds

@@ -40,6 +40,7 @@ from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
+from salpcc.stages.residual_code.sensor.scan_coder import points_off_lattice
 
 _warm: set[str] = set()  # efforts that this process has decoded
 
@@ -193,6 +194,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
                     vars(entry)
                     | {"movable": reader.movable}
                     | _of_layers(payload, layers.get(payload.entry.name))
+                    | _off_lattice(config, payload, layers.get(payload.entry.name))
                     for entry, payload in zip(entries, payloads, strict=True)
                 ]
             ),
@@ -239,6 +241,12 @@ def _of_layers(static: ScanPayload, movable: ScanPayload | None) -> dict[str, An
         return {"points_movable": None, "bytes_movable": None, "checksum": static.checksum}
     entry, checksum = movable.entry, f"{static.checksum}-{movable.checksum}"
     return {"points_movable": entry.kept, "bytes_movable": entry.bytes, "checksum": checksum}
+
+
+def _off_lattice(config: RunConfig, static: ScanPayload, movable: ScanPayload | None) -> dict[str, int]:
+    """Points of a scan that no lattice of its sensor explains; the grid of profile ``paper`` has none."""
+    layers = [static, *([movable] if movable else [])] if config.profile == "sensor" else []
+    return {"off_lattice": sum(points_off_lattice(layer.data) for layer in layers)}
 
 
 def _warm_up(reader: ArchiveReader, gop: int) -> None:

@@ -65,7 +65,7 @@ def _facts(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     points, kept, dropped = totals["n_points"], totals["kept"], totals["dropped_movable"]
     said = f"{points:,}, all kept" if kept == points else f"{points:,}, {kept:,} kept"
     said += f", {dropped:,} that can move dropped" if dropped else ""
-    yield "points", said + (f", {totals['strays']:,} off the lattice" if totals["strays"] else "")
+    yield "points", said + (f", {totals['strays']:,} in the order of their list" if totals["strays"] else "")
     if found["side_files"]:
         names = list(found["side_files"])
         more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""

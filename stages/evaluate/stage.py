@@ -52,7 +52,7 @@ def run(
             pull is the decode time, so pass the decoder's own iterator.
         originals: the source scans in the same order; None where there is none to compare with.
         payloads: rows of the same scans with columns ``name``, ``n_points``, ``kept``, ``dropped_movable``,
-            ``strays``, ``geometry``, ``intensity``, ``classes``, ``side`` (the PAYLOAD table).
+            ``geometry``, ``intensity``, ``classes``, ``side`` (the PAYLOAD table), and ``off_lattice``: points that no lattice explains.
         max_error: the asked 3-D bound in metres, 0 for bit-exact.
         dropped: by scan the class ``(N,)`` of each source point that the task dropped, KEPT elsewhere (None: it
             dropped nothing). Without it, what was kept is found again and taken for movable what was not, and
@@ -112,7 +112,7 @@ def _sizes(payload: Mapping[str, Any]) -> dict[str, Any]:
         "points_in": payload["n_points"],
         "points_kept": payload["kept"],
         "points_dropped_movable": payload["dropped_movable"],
-        "points_on_fallback": payload["strays"],
+        "points_on_fallback": payload["off_lattice"],
         "movable": payload.get("movable"),
         "points_movable": payload.get("points_movable"),
         "bytes_movable": payload.get("bytes_movable"),

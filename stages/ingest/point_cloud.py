@@ -21,6 +21,7 @@ from salpcc.schemas.cloud_layout import (
 )
 from salpcc.schemas.log import LogMessage
 from salpcc.schemas.scan import Scan
+from salpcc.stages.entropy.number_forms import spans_of
 
 Bytes = NDArray[np.uint8]
 
@@ -168,6 +169,15 @@ def intensity_of(cloud: Cloud) -> NDArray[np.float32]:
         return np.zeros(len(cloud.rest), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         return cloud.values(column).astype(np.float32)
+
+
+def times_of(cloud: Cloud) -> NDArray[np.int64] | None:
+    """Times ``(N,)`` of the points of a cloud, in whole steps from some origin that differs from cloud to cloud; None where it tells none."""
+    field = cloud.time_field
+    if field is None or len(cloud.rest) == 0:
+        return None
+    spans = spans_of(cloud.values(field))
+    return None if spans is None else spans.low
 
 
 def _float32(rows: Bytes, field: Field, layout: Layout) -> NDArray[np.float32]:

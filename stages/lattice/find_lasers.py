@@ -39,11 +39,13 @@ class Listed:
         points: ``(N, 3)`` float64 metres.
         ring: ``(N,)`` int64, the sensor's own laser numbers, or None.
         width: points in a row of an organised cloud, else 0.
+        time: ``(N,)`` int64, of each point in whole steps, or None.
     """
 
     points: NDArray[np.float64]
     ring: NDArray[np.int64] | None = None
     width: int = 0
+    time: NDArray[np.int64] | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:

@@ -25,13 +25,14 @@ from salpcc.stages.lattice.untwist import moved, turned_back
 TICKS = (512, 1024, 2048, 4096, 3600, 4000, 7200, 18_000, 36_000)  # of sensors whose clouds are published so
 _NEAREST = 3.0  # metres
 _SAMPLE = 6000  # points
+_ENOUGH = 100  # points of a laser that tell counts
 _SECTOR = 0.02  # turns that the counts are unwrapped from, ever more by
 _WIDER = 1.3
 _PADDED = 1 << 15
 _LINE = 0.3
 _ON_LATTICE = 0.003  # metres
 _WORTH_IT = 0.05  # of the points that come onto it
-_FASTEST = 0.2  # radians a turn; the sensor's own turning would pass for yaw
+FASTEST = 0.2  # radians a turn; the sensor's own turning would pass for yaw
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -120,7 +121,7 @@ def _solved(points: F64, laser: I64, s: F64, lasers: int, ticks: int, count: flo
     motion = np.zeros(6)
     for _ in range(6):
         motion = _by_cones(points[few], laser[few], s[few], lasers, motion, (0, 1, 2, 3, 4))
-    early = s < 0.1
+    early = np.abs(s) <= np.quantile(np.abs(s), min(max(0.1, _ENOUGH * lasers / len(s)), 1.0))
     if not count:
         raw = undo(points[early], s[early], motion)
         reach = np.sqrt((raw**2).sum(axis=1))
@@ -180,7 +181,7 @@ def _by_counts(points: F64, laser: I64, s: F64, lasers: int, motion: F64, count:
     motion = motion.copy()
     sector = _SECTOR
     while True:
-        near = s < sector
+        near = np.abs(s) < sector
         own, place, k = points[near], s[near], laser[near]
         for _ in range(4):
             raw = undo(own, place, motion)
@@ -204,8 +205,8 @@ def _by_ticks(
     """Return the yaw per turn at which azimuths are whole ticks, and which ones; None where they never are."""
     azimuth = np.arctan2(raw[:, 1], raw[:, 0])
     far = np.hypot(raw[:, 0], raw[:, 1]) > 8.0
-    step = np.min(np.diff(np.unique(s)), initial=1.0)
-    place = np.rint(s / step).astype(np.int64)
+    step = max(float(np.min(np.diff(np.unique(s)), initial=1.0)), 2.0 / _PADDED)
+    place = np.rint((s - s.min()) / step).astype(np.int64)
     best, sharpest = None, _LINE
     for ticks in candidates:
         total = np.zeros(_PADDED)
@@ -223,7 +224,7 @@ def _by_ticks(
         if not seen:
             continue
         turned = np.fft.fftfreq(_PADDED, 1 / (2 * np.pi)) / (ticks * step)
-        total[np.abs(turned) > _FASTEST] = 0.0
+        total[np.abs(turned) > FASTEST] = 0.0
         at = int(total.argmax())
         if total[at] / seen > sharpest:
             best, sharpest = (float(turned[at]), ticks), float(total[at] / seen)

@@ -68,14 +68,13 @@ def code_aimed(  # type: ignore[no-untyped-def]
             is written is no stream.
         sensor: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks, neighbours above and below,
             driver (:data:`~salpcc.stages.lattice.drivers.NO_DRIVER`: none).
-        motion: whether there is one, and its six numbers.
+        motion: whether there is one, its six numbers, s of each point ``(S,)``, and whether what it leaves changes slowly.
     """
     parameters, constants, sines, cosines, count_size, phase, above, below, driver = sensor
-    moving, m = motion
+    moving, m, place_of, drifting = motion
     of_kind, of_laser, of_tick, of_pace, of_spread, of_level, of_fix, of_reach = models
     n, ticks, lasers = len(points), len(sines), len(parameters)
     slots = max(left, 1) if left > 0 else lasers
-    firings = max((n + slots - 1) // slots, 1)
     slot_laser, relative = np.full(slots, -1), np.zeros(slots, np.int64)
     slot_size = np.zeros(slots, np.int64)  # of the last miss of the tick
     hop = np.full((lasers, lasers), 1 << 30)
@@ -134,7 +133,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                     parameters, constants, count_size, sines, cosines,
                 )  # fmt: skip
                 if moving:
-                    x, y, z = moved(x, y, z, (firings - 1 - i // slots) / firings, m)
+                    x, y, z = moved(x, y, z, place_of[i], m)
                 x -= np.float64(points[i, 0])
                 y -= np.float64(points[i, 1])
                 z -= np.float64(points[i, 2])
@@ -195,7 +194,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 errors[i, p] = np.uint16(min(abs(guess[p] * d - 1.0), 1.0) * 65535.0)
             link(i, k, links, ends)
         if moving:
-            x, y, z = moved(x, y, z, (firings - 1 - i // slots) / firings, m)
+            x, y, z = moved(x, y, z, place_of[i], m)
         if exact:
             old = recent if place < 0 else place
             same = k if kind == AIMED else lasers
@@ -211,7 +210,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 )  # fmt: skip
                 sizes[i, 1 + c] = (size_of(abs(number)) + 1) // 2
                 points[i, c] = coordinate_of(whole + number, form, per)
-                if moving:  # six numbers leave a little of a motion, and it changes slowly
+                if drifting:  # six numbers leave a little of a motion by place, and it changes slowly
                     drift[same, c] = min(max(np.float64(points[i, c]) - model, -1.0), 1.0)
         else:
             points[i, 0], points[i, 1], points[i, 2] = x, y, z

@@ -25,12 +25,13 @@ from salpcc.stages.strays.aimed_stream import (
     step_of,
     write_aimed,
 )
-from salpcc.stages.strays.aimed_symbols import OFF
+from salpcc.stages.strays.aimed_symbols import AIMED, OFF
 from salpcc.stages.strays.list_layout import likely_layouts
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import ALONG, BITS
 
 MOST_POINTS = 1 << 22
+OFF_LASER = 255
 _BODY = struct.Struct("<BIII")
 _FEWEST = 500
 _LEAST_SHARE = 0.5  # of the points that must lie on the lattice
@@ -42,29 +43,37 @@ Array = NDArray[np.uint8]
 
 
 def choose(
-    points: F32, form: int, per: int, max_error: float, sensor: SensorModel, motion: Motion, settled: bool
+    points: F32,
+    form: int,
+    per: int,
+    max_error: float,
+    sensor: SensorModel,
+    motion: Motion,
+    settled: bool,
+    s: NDArray[np.float64] | None = None,
 ) -> tuple[Way, Aimed] | None:
     """Return how points ``(S, 3)`` are best put on the lattice, and there; None where too few of them lie on it.
 
     Args:
         form, per: of corrections; ALONG where an error is allowed.
         settled: the points were put there before, and no bit may change.
+        s: of each point ``(S,)``, where the motion is by time.
     """
     if not _FEWEST <= len(points) <= MOST_POINTS:
         return None
     exact = form != ALONG
     moved = None if motion is None else tuple(motion.tolist())
     layouts: list[Layout] = [(1, 0)]
-    if moved is not None:
+    if moved is not None and s is None:
         layouts = [(find_firing(points.astype(np.float64)), 1)]
         if layouts[0][0] < 2:
             return None
-    way = Way(layouts[0], form, per, exact, step_of(0.0 if exact else max_error, sensor), moved)
+    way = Way(layouts[0], form, per, exact, step_of(0.0 if exact else max_error, sensor), moved, s)
     reach = EXACT_REACH if exact else (0.0 if settled else max_error)
     aimed = put(points, sensor, way, reach)
     if (aimed.kinds != OFF).mean() < _LEAST_SHARE:
         return None
-    if moved is None:
+    if moved is None or s is not None:
         layouts = likely_layouts(points, lanes=True)
     ways = [replace(way, layout=layout) for layout in layouts]
     if len(ways) > 1:
@@ -82,6 +91,7 @@ def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
     names = ("points", "kinds", "laser", "tick", "level")
     first = Aimed(*(getattr(aimed, name)[part].copy() for name in names))
     out = np.empty(32 * len(first.points) + 4096, np.uint8)
+    way = way if way.s is None else replace(way, s=way.s[part])
     written = write_aimed(first, np.ascontiguousarray(points[part]), sensor, way, out)
     return written if written >= 0 else len(out)
 
@@ -111,22 +121,38 @@ def read_body(
     sensor: SensorModel,
     motion: Motion,
     read_rest: Callable[[int, Array], tuple[F32, bool]],
-) -> tuple[F32, bool]:
-    """Inverse of :func:`write_body`: points ``(n, 3)``, and whether the data made sense."""
-    nothing = np.zeros((n, 3), np.float32), False
+    s: NDArray[np.float64] | None = None,
+) -> tuple[F32, Array, bool]:
+    """Inverse of :func:`write_body`: points ``(n, 3)``, their lasers ``(n,)`` (OFF_LASER off the lattice), and whether the data made sense."""
+    nothing = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8), False
     if n > MOST_POINTS or len(data) < _BODY.size:
         return nothing
     form, step, off, length = _BODY.unpack(data[: _BODY.size].tobytes())
     end = _BODY.size + length
     if form > BITS or not 1 <= step <= _LARGEST_STEP or off > n or end > len(data):
         return nothing
-    if (form != ALONG) != exact or (exact and step != 1) or (motion is not None and layout[0] < 2):
+    if (
+        (form != ALONG) != exact
+        or (exact and step != 1)
+        or (motion is not None and s is None and layout[0] < 2)
+    ):
         return nothing
     moved = None if motion is None else tuple(motion.tolist())
-    way = Way(layout, form, per, form != ALONG, step, moved)
-    points, kinds, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]))
-    if not sound or int((kinds == OFF).sum()) != off:
+    way = Way(layout, form, per, form != ALONG, step, moved, s)
+    aimed, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]))
+    points = aimed.points
+    if not sound or int((aimed.kinds == OFF).sum()) != off:
         return nothing
     if off:
-        points[kinds == OFF], sound = read_rest(off, np.ascontiguousarray(data[end:]))
-    return points, bool(sound and (off > 0 or end == len(data)))
+        points[aimed.kinds == OFF], sound = read_rest(off, np.ascontiguousarray(data[end:]))
+    return points, lasers_of(aimed), bool(sound and (off > 0 or end == len(data)))
+
+
+def lasers_of(aimed: Aimed) -> Array:
+    """The lasers ``(S,)`` that a reader knows; OFF_LASER of points that are of none."""
+    return np.where(aimed.kinds == AIMED, aimed.laser, OFF_LASER).astype(np.uint8)
+
+
+def count_off(body: bytes) -> int:
+    """Points off the lattice, of a body that :func:`write_body` wrote."""
+    return int(_BODY.unpack_from(body)[2])

@@ -42,9 +42,12 @@ class Aimed:
     level: I64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Way:
-    """How points are coded: what of a turn ``motion`` moved them, the layout, form and units of corrections, counts per level."""
+    """How points are coded: the layout, form and units of corrections, counts per level, and the ``motion`` that moved them.
+
+    ``s``: of each point ``(S,)`` where times tell it; else it follows from the place in the list.
+    """
 
     layout: Layout
     form: int
@@ -52,6 +55,11 @@ class Way:
     exact: bool
     step: int
     motion: tuple[float, ...] | None
+    s: NDArray[np.float64] | None = None
+
+    def places(self, n: int) -> NDArray[np.float64]:
+        """Return s of ``n`` points."""
+        return places(n, max(self.layout[0], 1)) if self.s is None else self.s
 
 
 def step_of(max_error: float, sensor: SensorModel) -> int:
@@ -66,7 +74,7 @@ def put(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
     wide = points.astype(np.float64)
     still = wide
     if way.motion is not None:
-        still = undo(wide, places(len(points), way.layout[0]), np.array(way.motion))
+        still = undo(wide, way.places(len(points)), np.array(way.motion))
     laser, tick, count, _ = aim(sensor, still)
     level = np.clip(count // way.step, 0, MAX_LEVEL)
     known = np.maximum(laser, 0).astype(np.uint8)
@@ -116,7 +124,7 @@ def _decoded(
     origin = np.zeros(model.shape)
     if way.motion is None:
         return model, origin
-    s, motion = places(len(laser), way.layout[0]), np.array(way.motion)
+    s, motion = way.places(len(laser)), np.array(way.motion)
     return redo(model, s, motion), redo(origin, s, motion)
 
 
@@ -134,10 +142,8 @@ def write_aimed(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, out: N
     return int(finish_encoder(state, out))
 
 
-def read_aimed(
-    n: int, sensor: SensorModel, way: Way, data: NDArray[np.uint8]
-) -> tuple[F32, NDArray[np.uint8], bool]:
-    """Inverse of :func:`write_aimed`: points ``(n, 3)``, kinds, and whether the data made sense; points of kind OFF are zeros."""
+def read_aimed(n: int, sensor: SensorModel, way: Way, data: NDArray[np.uint8]) -> tuple[Aimed, bool]:
+    """Inverse of :func:`write_aimed`: ``n`` points, and whether the data made sense; those of kind OFF are zeros."""
     empty = Aimed(
         np.zeros((n, 3), np.float32),
         np.zeros(n, np.uint8),
@@ -147,7 +153,7 @@ def read_aimed(
     )
     state = start_decoder(data)
     _code(False, empty.points, empty, sensor, way, 0.0, state, data)
-    return empty.points, empty.kinds, bool(state[3] == 0)
+    return empty, bool(state[3] == 0)
 
 
 def _code(
@@ -160,10 +166,12 @@ def _code(
     state: I64,
     data: NDArray[np.uint8],
 ) -> None:
-    motion = (0.0,) * 6 if way.motion is None else way.motion
+    motion = False, (0.0,) * 6, np.zeros(1), False
+    if way.motion is not None:
+        motion = True, way.motion, way.places(len(points)), way.s is None  # type: ignore[assignment]
     code_aimed(
         writing, points, aimed.kinds, aimed.laser, aimed.tick, aimed.level, *way.layout, way.form, float(way.per), way.exact,
-        way.step, reach, _tables(sensor), (way.motion is not None, motion), new_models(), state, data,
+        way.step, reach, _tables(sensor), motion, new_models(), state, data,
     )  # fmt: skip
 
 

@@ -2,8 +2,8 @@
 
 Stream: length of the places (uint32), the places as gaps, form, left, up and per (uint8, uint16, uint16, uint32), the points.
 Many strays that lie on the lattice of the sensor model after all, as of a sensor whose files no other coder knows, are coded by it
-(:mod:`.aimed_strays`). Strays whose lasers and times their message tells may lie on rays that turn steadily (:mod:`.timed_strays`); then these
-two are told with them, and need not be told again.
+(:mod:`.aimed_strays`). Strays whose lasers and times their message tells may lie on rays that turn steadily (:mod:`.timed_strays`), or on the lattice but for a
+motion by time (:mod:`.moved_strays`); then these two are told with them, and need not be told again.
 """
 
 from __future__ import annotations
@@ -18,17 +18,19 @@ from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.strays.aimed_strays import Motion, choose, read_body, write_body
+from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
+from salpcc.stages.strays.aimed_strays import Motion, choose, count_off, read_body, write_body
 from salpcc.stages.strays.aimed_stream import Aimed, Way
 from salpcc.stages.strays.aimed_symbols import OFF
 from salpcc.stages.strays.list_layout import find_layout
+from salpcc.stages.strays.moved_strays import body_of, read_moved, write_moved
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID, HALVES
 from salpcc.stages.strays.ray_stream import move_points, read_points, write_points
 from salpcc.stages.strays.timed_strays import read_timed, write_timed
 from salpcc.stages.strays.timeline import Timeline
 
-AIMED, TIMED = 3, 5  # the forms after those of rays
+AIMED, TIMED, MOVED = 3, 5, 6  # the forms after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
@@ -61,7 +63,7 @@ def _form(points: F32, max_error: float) -> tuple[int, int, float]:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How points ``(S, 3)``, snapped if need be, are coded: on rays, ``chosen`` on the lattice of the sensor, or ``timed`` already."""
+    """How points ``(S, 3)``, snapped if need be, are coded: on rays, ``chosen`` on the lattice of the sensor, or ``coded`` already: form, body, and the lasers and times that they tell."""
 
     points: F32
     max_error: float
@@ -72,12 +74,12 @@ class Plan:
     sensor: SensorModel | None = None
     chosen: tuple[Way, Aimed] | None = None
     lanes: NDArray[np.uint8] | None = None
-    timed: tuple[bytes, Timeline] | None = None
+    coded: tuple[int, bytes, Timeline] | None = None
 
     @property
     def told(self) -> Timeline | None:
         """What a reader knows of the points' lasers and times."""
-        return None if self.timed is None else self.timed[1]
+        return None if self.coded is None else self.coded[2]
 
     @property
     def share(self) -> float:
@@ -107,17 +109,49 @@ def plan(
     points = np.ascontiguousarray(points)
     form, per, step = _form(points, max_error)
     fix = BITS if form == HALVES else form
+    exact = settled and step == 0.0
+    if sensor is not None and exact and times is not None:
+        moved = _moved_in_time(points, form, fix, per, sensor, lanes, times)
+        if moved is not None:
+            return moved
     chosen = choose(points, fix, per, max_error, sensor, motion, settled) if sensor is not None else None
     aimed = chosen and Plan(points, max_error, chosen[0].layout, fix, per, step, sensor, chosen, lanes)
     if aimed and (settled or aimed.share >= _NO_DOUBT):
         return aimed
     layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes)
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
-    if settled and step == 0.0 and lanes is not None and times is not None:
+    if exact and lanes is not None and times is not None:
         timed = write_timed(points, lanes, times, form, per)
         if timed is not None and len(timed[0]) < len(encode_strays(np.arange(len(points)), rays)):
-            return replace(rays, timed=timed)
+            return replace(rays, coded=(TIMED, *timed))
     return min(aimed, rays, key=_size) if aimed else rays
+
+
+def _moved_in_time(
+    points: F32,
+    form: int,
+    fix: int,
+    per: int,
+    sensor: SensorModel,
+    lanes: NDArray[np.uint8] | None,
+    times: NDArray[np.int64],
+) -> Plan | None:
+    """Plan for points ``(S, 3)`` that a motion by time moved off the lattice; None where it is not found."""
+    found = find_timed_motion(points, sensor, times, lanes) if len(points) >= _FEWEST else None
+    if found is None:
+        return None
+    motion, reference = found
+    chosen = choose(points, fix, per, 0.0, sensor, motion, True, timed_places(times, reference))
+    moved = write_moved(chosen, points, sensor, times, reference, _rest) if chosen else None
+    if chosen is None or moved is None:
+        return None
+    layout = chosen[0].layout
+    return Plan(points, 0.0, layout, form, per, 0.0, sensor, chosen, lanes, (MOVED, *moved))
+
+
+def _rest(points: F32) -> bytes:
+    """Points ``(S, 3)`` off the lattice, exactly."""
+    return encode_strays(np.arange(len(points)), plan(points, 0.0))
 
 
 def snap(points: F32, max_error: float, sensor: SensorModel | None = None, motion: Motion = None) -> F32:
@@ -148,8 +182,8 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
         return b""
     gaps = np.diff(places, prepend=-1) - 1
     first = run_encoder(lambda out: int(encode_integers(gaps[:, None], integer_model(1), out)), len(places))
-    if found.timed is not None:
-        return _HEAD.pack(len(first), TIMED, 0, 1, found.per) + first + found.timed[0]
+    if found.coded is not None:
+        return _HEAD.pack(len(first), found.coded[0], *found.layout, found.per) + first + found.coded[1]
     if found.chosen is None or found.sensor is None:
         return _on_rays(found, first)
     way = found.chosen[0]
@@ -195,7 +229,7 @@ def decode_strays(
     begin = _HEAD.size + first
     step = ray_step(max_error)
     known = form <= BITS or form == HALVES or (form == AIMED and sensor is not None)
-    known = known or (form == TIMED and step == 0.0)
+    known = known or (form in (TIMED, MOVED) and step == 0.0 and (form == TIMED or sensor is not None))
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
@@ -204,9 +238,14 @@ def decode_strays(
     told = None
     if form == TIMED:
         points, told, whole = read_timed(n, per, body)
+    elif form == MOVED:
+        assert sensor is not None
+        points, told, whole = read_moved(
+            n, (left, up), per, body, sensor, lambda m, d: decode_strays(m, 0.0, d)[1::2]
+        )
     elif form == AIMED:
         assert sensor is not None
-        points, whole = read_body(
+        points, _, whole = read_body(
             n,
             (left, up),
             per,
@@ -219,6 +258,17 @@ def decode_strays(
     else:
         points, whole = read_points(n, (left, up), form, per, step, body)
     return places, points, told, bool(sound and whole)
+
+
+def off_lattice(n: int, data: bytes) -> int:
+    """Of the ``n`` strays of a stream that was checked, those that are not on the lattice of their sensor."""
+    if n == 0:
+        return 0
+    first, form = _HEAD.unpack_from(data)[:2]
+    body = data[_HEAD.size + first :]
+    if form == AIMED:
+        return count_off(body)
+    return count_off(body_of(body)) if form == MOVED else n
 
 
 def encode_floats(values: NDArray[np.float32], out: NDArray[np.uint8]) -> int:

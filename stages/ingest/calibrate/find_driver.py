@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.aim import aim
-from salpcc.stages.lattice.drivers import FORMULAS, SINES, TURNING, VELODYNE, Driver, hesai, ouster, velodyne
+from salpcc.stages.lattice.drivers import FORMULAS, HESAI, SINES, STEPS, TURNING, Driver, bearing_of, ouster
 from salpcc.stages.lattice.drivers.sines import cosine32, sine32
 from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.sensor_model import SensorModel, with_driver
@@ -149,8 +149,8 @@ def _laser(points: F32, d: F32, formula: str, sine: int) -> tuple[tuple[float, .
     sin_e, _ = _elevation(points[:, 2], d)
     cosines = _cosines(sin_e)
     x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
-    forward = np.arctan2(-y, x) if formula == "velodyne" else np.arctan2(x, y)
-    turns = forward / (2 * np.pi) * velodyne.STEPS
+    ways = {"velodyne": (-y, x), "hesai": (x, y), "pandar": (y, -x)}
+    turns = np.arctan2(*ways[formula]) / (2 * np.pi) * STEPS
     phase = float(np.angle(np.exp(2j * np.pi * turns).mean()) / (2 * np.pi))
     part = slice(0, _REFINED)
     number = list(FORMULAS).index(formula)
@@ -223,7 +223,7 @@ def _search(formula, sine, values, points, d, turns, phase, cosines, few, widest
         lost = _lost(formula, sine, values, points, d, index, offset, best_cosine, best)
         if lost < best:
             best, best_offset = lost, offset
-    sign = -1.0 if formula == VELODYNE else 1.0
+    sign = 1.0 if formula == HESAI else -1.0
     return best, sign * best_offset, best_cosine
 
 
@@ -231,14 +231,11 @@ def _search(formula, sine, values, points, d, turns, phase, cosines, few, widest
 def _lost(formula, sine, values, points, d, index, offset, cos_e, most):  # type: ignore[no-untyped-def]
     """Points whose x and y do not come back; counted no further than ``most``."""
     a, b = offset, np.float32(0.0)
-    if formula == VELODYNE:
+    if formula != HESAI:
         a, b = cosine32(sine, -offset), sine32(sine, -offset)
     lost = 0
     for i in range(len(points)):
-        if formula == VELODYNE:
-            u, v = velodyne.bearing(values, index[i], a, b)
-        else:
-            u, v = hesai.bearing(sine, values, index[i], a)
+        u, v = bearing_of(formula, sine, values, index[i], a, b)
         rho = np.float32(d[i] * cos_e)
         if np.float32(rho * u) != points[i, 0] or np.float32(rho * v) != points[i, 1]:
             lost += 1

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import SensorError
 from salpcc.stages.ingest.calibrate.find_driver import find_driver, share_identical
 from salpcc.stages.ingest.calibrate.fit_laser import fit_laser
+from salpcc.stages.ingest.calibrate.fit_moved import settle, undo_known, undo_unknown
 from salpcc.stages.lattice.aim import aim
 from salpcc.stages.lattice.find_lasers import Listed, find_lasers
 from salpcc.stages.lattice.find_steps import find_count, find_ticks
@@ -29,6 +30,8 @@ _WORTH_IT = 0.5  # of the misfit of the cones, that undoing a motion leaves
 _EXPLAINED = 0.02  # metres
 _LEAST_EXPLAINED, _LEAST_LASERS = 0.5, 0.7  # of the returns, and of the lasers, of any scan
 _COLUMNS = {512, 1024, 2048, 4096}  # of organised clouds
+_STILL = 2e-5  # metres from the lattice; what is farther was moved, or is rounded
+_SETTLED = 2  # times that motions and model are fitted to each other
 _JITTER = 2  # ticks within a firing
 _HOLDS, _CLOSE = 0.8, 0.002  # of all returns, whosever; metres
 
@@ -74,6 +77,39 @@ def fit_sensor(scans: Sequence[Listed], name: str, rounded: bool) -> Fit:
     kept = [scan for scan in scans if len(scan.points)]
     if not kept:
         raise SensorError("no scan to calibrate on")
+    timed = not rounded and all(scan.time is not None for scan in kept)
+    try:
+        fit = _fitted(kept, name, rounded)
+    except SensorError:
+        moved = _fit_moved(kept, name) if timed else None
+        if moved is None:
+            raise
+        return moved
+    if timed and np.median(fit.off) > _STILL:
+        return _fit_moved(kept, name) or fit
+    return fit
+
+
+def _fit_moved(scans: Sequence[Listed], name: str) -> Fit | None:
+    """Fit a model to scans that were moved by their points' times; None where no such motion is found."""
+    known = undo_known(scans, name)
+    if known is not None:
+        model, still = known
+        aimed = [aim(model, scan.points) for scan in still]
+        off = np.concatenate([a[3][scan.seen] for a, scan in zip(aimed, still, strict=True)])
+        raw, laser = [scan.points for scan in still], [a[0] for a in aimed]
+        return Fit(model, 0, 1.0, 1.0, len(still), raw, laser, off)
+    undone = undo_unknown(scans)
+    if undone is None:
+        return None
+    still, moves = undone
+    for _ in range(_SETTLED):
+        fit = _fitted(still, name, False)
+        still = settle(fit.model, scans, moves)
+    return replace(_fitted(still, name, False), moved=len(still))
+
+
+def _fitted(kept: list[Listed], name: str, rounded: bool) -> Fit:
     laser, firing = find_lasers(kept)
     lasers = 1 + max(int(k.max()) for k in laser)
     raw, ticks, count, moved = _undone([scan.points for scan in kept], laser, lasers, firing)

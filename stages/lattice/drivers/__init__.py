@@ -1,6 +1,6 @@
 """Drivers: the arithmetic, in float32, by which a sensor's driver made points of counts and azimuth indices.
 
-One file a formula. Those of Velodyne and Hesai have cosine and sine of the laser's elevation e as float32, and turn the same way: with the range
+One file a formula. Those of Velodyne and Hesai (two) have cosine and sine of the laser's elevation e as float32, and turn the same way: with the range
 ``d`` and a *bearing* (u, v) of the laser at the azimuth index, every product rounded to float32::
 
     x = (d cos e) u          y = (d cos e) v          z = d sin e
@@ -20,13 +20,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.drivers import hesai, ouster, velodyne
+from salpcc.stages.lattice.drivers import hesai, ouster, pandar, velodyne
 from salpcc.stages.lattice.trig import arctan2
 
-FORMULAS: dict[str, ModuleType] = {"velodyne": velodyne, "hesai": hesai, "ouster": ouster}
-TURNING = ("velodyne", "hesai")  # those with bearings
+FORMULAS: dict[str, ModuleType] = {
+    "velodyne": velodyne,
+    "hesai": hesai,
+    "ouster": ouster,
+    "pandar": pandar,
+}
+TURNING = ("velodyne", "hesai", "pandar")  # those with bearings
 SINES = ("rounded", "polynomial")  # the kinds of :mod:`.sines`
-NO_FORMULA, VELODYNE, OUSTER = -1, 0, 2
+NO_FORMULA, VELODYNE, HESAI, OUSTER, PANDAR = -1, 0, 1, 2, 3
 STEPS = 36_000  # azimuth indices in a turn, unless a driver says otherwise
 _MOST_STEPS = 1 << 16
 _ROWS = 4  # numbers of a laser
@@ -114,6 +119,18 @@ def range32(single: bool, count: float, unit: float) -> np.float32:
     return np.float32(count * unit)
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def bearing_of(
+    formula: int, sine: int, values: F32, index: int, a: np.float32, b: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Return the bearing of a laser of the row's numbers a and b, by one of the formulas that have it."""
+    if formula == VELODYNE:
+        return velodyne.bearing(values, index, a, b)
+    if formula == PANDAR:
+        return pandar.bearing(values, index, a, b)
+    return hesai.bearing(sine, values, index, a)
+
+
 @njit(cache=True, error_model="numpy")
 def driver_point(
     driver: Tables, laser: int, tick: int, count: float, unit: float
@@ -124,9 +141,6 @@ def driver_point(
     if formula == OUSTER:
         return ouster.point(lasers[laser], tick, len(values), count * unit)
     d = range32(single, count, unit)
-    if formula == VELODYNE:
-        u, v = velodyne.bearing(values, index, lasers[laser, 2], lasers[laser, 3])
-    else:
-        u, v = hesai.bearing(sine, values, index, lasers[laser, 2])
+    u, v = bearing_of(formula, sine, values, index, lasers[laser, 2], lasers[laser, 3])
     rho = np.float32(d * lasers[laser, 0])
     return np.float32(rho * u), np.float32(rho * v), np.float32(d * lasers[laser, 1])

@@ -26,11 +26,12 @@ F32 = NDArray[np.float32]
 def table(sine: int) -> F32:
     """Return cosines and sines ``(STEPS, 2)`` of the azimuth indices, by the kind of :mod:`.sines`."""
     degrees = (np.arange(STEPS, dtype=np.float32) * np.float32(0.01)).astype(np.float64)
-    return _table(sine, (degrees * (np.pi / 180.0)).astype(np.float32))
+    return table_of(sine, (degrees * (np.pi / 180.0)).astype(np.float32))
 
 
 @njit(cache=True, error_model="numpy")
-def _table(sine: int, angles: F32) -> F32:
+def table_of(sine: int, angles: F32) -> F32:
+    """Return cosines and sines ``(N, 2)`` of float32 angles ``(N,)``, radians."""
     both = np.empty((len(angles), 2), np.float32)
     for i in range(len(angles)):
         both[i, 0], both[i, 1] = cosine32(sine, angles[i]), sine32(sine, angles[i])

@@ -40,6 +40,12 @@ from salpcc.stages.entropy.number_forms import (
 from salpcc.stages.entropy.symbols import decode_symbols, encode_symbols
 from salpcc.stages.lattice.aim import lies_on
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.residual_code.message.blended_values import (
+    MOST,
+    Around,
+    decode_blended,
+    encode_blended,
+)
 from salpcc.stages.residual_code.message.column_values import decode_columns, encode_columns, find_shifts
 from salpcc.stages.residual_code.message.firing_times import (
     Clocked,
@@ -51,10 +57,14 @@ from salpcc.stages.residual_code.message.firing_times import (
 from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
 from salpcc.stages.strays.timeline import LASERS, Timeline
 
-CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD = range(7)
+CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD, BLENDED = range(8)
 _RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, period, length
 _BY_LASER = struct.Struct("<I")  # length
 _TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
+_BLENDED = struct.Struct("<BBBI")  # what lies around, form, scale, length
+_LISTED, _FIRED, _ROWS = range(
+    3
+)  # what lies around a point: those before it, those of its laser, those of its row and column
 _TOLD = struct.Struct("<BBq")  # form, power of ten, origin
 _COLUMNS = struct.Struct("<BqII")  # void, origin, lengths of shifts and values
 _CLOSE = 0.002  # metres from the lattice
@@ -112,6 +122,23 @@ class Points:
             return Fired(laser, np.zeros_like(laser), np.zeros(LASERS + 1, np.int64), 1)
         return None if self.sensor is None else fired_by(self.sensor, self.xyz)
 
+    def around(self, what: int) -> Around | None:
+        """What values are blended from; None where it is not known."""
+        n = len(self.void)
+        nobody = np.full(2, -1)
+        if what == _ROWS:
+            width = self.width if self.width > 1 else 0
+            return (self.void, self.ranges, width, np.zeros(1, np.int64), nobody, nobody) if width else None
+        if what == _LISTED:
+            return self.void, self.ranges, 0, np.zeros(n, np.int64), nobody, nobody
+        if self.fired is None:
+            return None
+        above, below = np.full(self.fired.lasers + 1, -1), np.full(self.fired.lasers + 1, -1)
+        if self.sensor is not None:
+            order = np.argsort(-self.sensor.theta, kind="stable")[: self.fired.lasers]
+            above[order[1:]], below[order[:-1]] = order[:-1], order[1:]
+        return self.void, self.ranges, 0, self.fired.laser, above, below
+
     @cached_property
     def on_lattice(self) -> bool:
         """Whether lasers and ticks mean anything; to be asked by a writer only."""
@@ -158,7 +185,7 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
                 coded = bytes([SYMBOLS]) + _RECORD.pack(*way[:5], period, len(stream)) + stream
     if base is not None or len(values) < _FEWEST or 8 * len(coded) < _WORTH_IT * len(values):
         return coded
-    ways = (_encode_by_laser, _encode_times, _encode_columns)
+    ways = (_encode_by_laser, _encode_times, _encode_columns, _encode_blended)
     others = (encode(values, points) for encode in ways)
     return min([coded, *(other for other in others if other is not None)], key=len)
 
@@ -220,6 +247,38 @@ def _encode_columns(values: Values, points: Points) -> bytes | None:
             head = _COLUMNS.pack(void, origin, len(told), len(stream))
             coded.append(bytes([COLUMNS]) + head + told + stream)
     return min(coded, key=len, default=None)
+
+
+def _encode_blended(values: Values, points: Points) -> bytes | None:
+    """A field that looks like a picture; None where its values are no whole numbers, or too large."""
+    if values.dtype.kind != "f":
+        form, scale, integers = BITS, 0, values.astype(np.int64)
+    else:
+        found = find_scale(values)
+        if found is None:
+            return None
+        form, scale, integers = DECIMAL, found, to_scale(values, found)
+    if integers.min() <= -MOST or integers.max() >= MOST:
+        return None
+    coded = []
+    for what in (_ROWS, _FIRED) if points.width > 1 or points.on_lattice else (_LISTED,):
+        around = points.around(what) if what != _FIRED or points.on_lattice else None
+        if around is not None:
+            stream = encode_blended(integers, around)
+            coded.append(bytes([BLENDED]) + _BLENDED.pack(what, form, scale, len(stream)) + stream)
+    return min(coded, key=len, default=None)
+
+
+def _decode_blended(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    (what, form, scale, length), at = _unpacked(_BLENDED, data, at)
+    around = points.around(what) if what <= _ROWS else None
+    sound = form == (DECIMAL if kind.kind == "f" else BITS) and scale < len(SCALES)
+    if around is None or not sound or at + length > len(data):
+        raise ArchiveError("payload does not decode")
+    integers, sound = decode_blended(around, data[at : at + length])
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return from_scale(integers, scale, kind) if form == DECIMAL else from_bits(integers, kind), at + length
 
 
 def _small(values: Integers) -> bytes:
@@ -285,7 +344,13 @@ def _unpacked(what: struct.Struct, data: bytes, at: int) -> tuple[tuple[Any, ...
     return what.unpack_from(data, at), at + what.size
 
 
-_DECODE = {BY_LASER: _decode_by_laser, TIMES: _decode_times, COLUMNS: _decode_columns, TOLD: _decode_told}
+_DECODE = {
+    BY_LASER: _decode_by_laser,
+    TIMES: _decode_times,
+    COLUMNS: _decode_columns,
+    TOLD: _decode_told,
+    BLENDED: _decode_blended,
+}
 
 
 def decode_field(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.entropy.number_forms import spans_of
 from salpcc.stages.ingest.point_cloud import intensity_of
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
@@ -26,15 +25,6 @@ def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
     if sweep.cloud is None:
         return False
     return levels is None or len(sweep.laser) == 0 or sweep.cloud.layout.slots[3] is None
-
-
-def told_times(sweep: Sweep) -> NDArray[np.int64] | None:
-    """The times ``(N,)`` of points as their message tells them, as whole numbers; None where it does not."""
-    field = None if sweep.cloud is None else sweep.cloud.time_field
-    if sweep.cloud is None or field is None or len(sweep) == 0:
-        return None
-    spans = spans_of(sweep.cloud.values(field))
-    return None if spans is None else spans.low
 
 
 def encode_intensity(sweep: Sweep, sensor: SensorModel, told: Timeline | None = None) -> bytes:

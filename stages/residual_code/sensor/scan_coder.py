@@ -18,6 +18,7 @@ from salpcc.stages.residual_code.sensor.header import LAYER, MOTION, Header, con
 from salpcc.stages.residual_code.sensor.payload import pack, unpack
 from salpcc.stages.residual_code.sensor.streams import STREAMS, Decoding, Encoding
 from salpcc.stages.residual_code.stream import Payload
+from salpcc.stages.strays.stray_coder import off_lattice
 
 
 def encode_scan(
@@ -77,6 +78,16 @@ def decode_scan(data: bytes, sensor: SensorModel, state: GopState, static: Sweep
         raise ArchiveError("payload decodes to something else than was coded (checksum differs)")
     state.before = scan.sweep
     return scan.sweep
+
+
+def points_off_lattice(data: bytes) -> int:
+    """Points of a payload that are on no lattice: strays, but for those that its sensor's model explains.
+
+    Raises:
+        ArchiveError: it is no payload of profile ``sensor``.
+    """
+    header, streams = unpack(data)
+    return off_lattice(header.strays, streams["stray_points"])
 
 
 def _nothing_yet(header: Header, motion: np.ndarray | None) -> Sweep:

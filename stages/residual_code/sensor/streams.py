@@ -17,6 +17,7 @@ from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
 from salpcc.stages.lattice.layers import alone, movable_mask
 from salpcc.stages.lattice.publish import compensated_points, float32_boundary, millimetre_boundary
@@ -84,7 +85,7 @@ class Encoding:
         rings = None if sweep.cloud is None else self.listed.cloud.rings()  # type: ignore[union-attr]
         told = rings is not None and rings.max(initial=0) <= 255
         lanes = rings[self.listed.stray_index].astype(np.uint8) if told else None  # type: ignore[index]
-        times = None if len(sweep.laser) else logged_scan.told_times(self.listed)
+        times = None if len(sweep.laser) or sweep.cloud is None else times_of(self.listed.cloud)  # type: ignore[arg-type]
         return plan(sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved, lanes=lanes, times=times)
 
     @cached_property

@@ -51,7 +51,7 @@ def payload_rows() -> Callable[[list[Scan], list[Scan]], pa.Table]:
     """PAYLOAD rows with round sizes: 1000, 600, 50 and 20 bytes a scan."""
 
     def rows(sources: list[Scan], decoded: list[Scan]) -> pa.Table:
-        sizes = {"strays": 1, "geometry": 1000, "intensity": 600, "classes": 50, "side": 20}
+        sizes = {"off_lattice": 1, "geometry": 1000, "intensity": 600, "classes": 50, "side": 20}
         pairs = zip(sources, decoded, strict=True)
         counts = [{"name": a.name, "n_points": len(a), "kept": len(b)} for a, b in pairs]
         dropped = [{"dropped_movable": row["n_points"] - row["kept"]} for row in counts]

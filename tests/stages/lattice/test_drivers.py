@@ -61,6 +61,10 @@ def turn(formula: str, single: bool) -> tuple[np.ndarray, np.ndarray, float]:
     if formula == "hesai":
         a = ((index * 0.01 * np.pi / 180).astype(F) + o).astype(float)
         return np.stack([rho * np.sin(a).astype(F), rho * np.cos(a).astype(F), z], axis=1), laser, unit
+    if formula == "pandar":
+        a = (index.astype(F) * F(2 * np.pi / 36_000)).astype(float)
+        c, s, co, so = (f(v).astype(F) for v in (a, o.astype(float)) for f in (np.cos, np.sin))
+        return np.stack([-rho * (c * co - s * so), rho * (s * co + c * so), z], axis=1), laser, unit
     a = ((index.astype(F) * F(0.01)).astype(float) * np.pi / 180).astype(F).astype(float)
     c, s, cr, sr = (f(v).astype(F) for v in (a, o.astype(float)) for f in (np.cos, np.sin))
     return np.stack([rho * (c * cr + s * sr), -(rho * (s * cr - c * sr)), z], axis=1), laser, unit

@@ -15,7 +15,9 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.number_forms import from_spans, spans_of
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.residual_code.message.blended_values import MOST, decode_blended, encode_blended
 from salpcc.stages.residual_code.message.field_coder import (
+    BLENDED,
     BY_LASER,
     COLUMNS,
     CONSTANT,
@@ -85,6 +87,51 @@ def test_times_follow_from_the_firing(listed, of) -> None:
     assert 8 * len(data) < 0.6 * len(time)
 
 
+def pictured(points: Points, noise: float) -> np.ndarray:
+    """Intensities of walls: alike where distances are, and noise."""
+    wall = 60.0 + 40.0 * np.sign(np.sin(points.ranges * 9.0))
+    return np.clip(wall + np.random.default_rng(2).normal(0, noise, len(wall)), 0, 255)
+
+
+@pytest.mark.parametrize("kind", ["u1", "u2", "f4", "i4"])
+def test_intensities_follow_from_what_lies_around(listed, kind: str) -> None:
+    points, _, _ = listed
+    values = np.rint(pictured(points, 2.0)).astype(kind)
+    data = coded(values, points)
+    assert data[0] == BLENDED
+    assert 8 * len(data) < 5.4 * len(values)  # by what came before in the list, 6.3
+    hundredths = (values / 100).astype(np.float32)
+    assert coded(hundredths, points)[0] == BLENDED
+
+
+def test_intensities_of_rows_and_of_lists() -> None:
+    rng = np.random.default_rng(0)
+    rows, width = 32, 256
+    distance = np.tile(rng.uniform(4.0, 9.0, width), rows) + rng.normal(0, 0.005, rows * width)
+    xyz = np.stack([distance, 0 * distance, 0 * distance], axis=1).astype(np.float32)
+    xyz[rng.random(len(xyz)) < 0.2] = 0
+    sizes = []
+    for points in (Points.of(xyz, width), Points.of(xyz, 0)):
+        values = np.where(points.void, 0, pictured(points, 3.0)).astype(np.uint16)
+        sizes.append(len(coded(values, points)))
+    assert sizes[0] < 0.9 * sizes[1]
+
+
+@pytest.mark.parametrize("width", [0, 64])
+def test_any_numbers_are_blended_and_back(width: int) -> None:
+    rng = np.random.default_rng(width)
+    xyz = rng.uniform(1e-3, 9, (64 * 40, 3)).astype(np.float32)
+    xyz[rng.random(len(xyz)) < 0.3] = 0
+    points = Points.of(xyz, width)
+    around = points.around(2 if width else 0)
+    assert around is not None
+    for most in (1, 255, 70_000, MOST - 1):
+        values = rng.integers(-most, most + 1, len(xyz))
+        back, sound = decode_blended(around, encode_blended(values, around))
+        assert sound
+        assert (back == values).all()
+
+
 def test_two_returns_of_a_laser_have_one_time(listed) -> None:
     points, _, time = listed
     twice = np.repeat(np.arange(len(time)), 1 + np.random.default_rng(1).integers(0, 2, len(time)))
@@ -140,7 +187,8 @@ def test_spans_hold_what_they_mean(kind: str) -> None:
 def test_damage_is_an_error_or_other_values(listed) -> None:
     points, laser, time = listed
     rng = np.random.default_rng(0)
-    for values in (laser.astype(np.uint8), (time / 1e9).astype(np.float32)):
+    seen = np.rint(pictured(points, 3.0)).astype(np.uint8)
+    for values in (laser.astype(np.uint8), (time / 1e9).astype(np.float32), seen):
         data = encode_field(values, points)
         assert data[0] != CONSTANT
         for _ in range(60):
