@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.cloud_layout import Field, Layout, read_layout
 
 _MOST_RINGS = 4096
+RANGE_FIELDS = ("range", "distance")
 TIME_FIELDS = (
     "time", "t", "timestamp", "time_stamp", "offset_time", "offset_ns", "time_offset", "timeOffset"
 )  # fmt: skip
@@ -64,6 +65,11 @@ class Cloud:
         with np.errstate(invalid="ignore"):
             sound = (numbers == np.rint(numbers)) & (numbers >= 0) & (numbers < _MOST_RINGS)
         return numbers.astype(np.int64) if sound.all() else None
+
+    @property
+    def range_field(self) -> Field | None:
+        """The column of whole numbers that tells the distance of each point, if there is one."""
+        return next((c for c in self.layout.columns if c.name in RANGE_FIELDS and c.dtype.kind in "iu"), None)
 
     @property
     def time_field(self) -> Field | None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import coordinate_rounding
+from salpcc.stages.lattice.aim import lies_on
 from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
 from salpcc.stages.lattice.layers import placed, return_keys
 from salpcc.stages.lattice.order import azimuth_keys, in_order
@@ -32,6 +33,7 @@ _T = TypeVar("_T", bound=np.generic)
 
 # Half the diagonal of the 1 mm cube that the published points were rounded in.
 _ROUNDING = 0.000867
+_BESIDE_AXIS, _MOST = 50.0, 0.9  # millimetres that beams start from the axis; of the returns
 
 
 def keep(sweep: Sweep, sensor: SensorModel, kept: NDArray[np.bool_], stray_kept: NDArray[np.bool_]) -> Sweep:
@@ -135,6 +137,17 @@ def _distances(points: NDArray[np.float32], others: NDArray[np.float32]) -> NDAr
     return distances
 
 
+def _distances_are_told(sweep: Sweep, sensor: SensorModel) -> bool:
+    """Tell whether the points are on the lattice, to the bit, and a field of their message has their distances in whole millimetres."""
+    field = None if sweep.cloud is None else sweep.cloud.range_field
+    points = sweep.stray_points[:, :3]
+    if sweep.cloud is None or field is None or len(sweep.laser) or not lies_on(sensor, points):
+        return False
+    told, seen = sweep.cloud.values(field).astype(np.int64), (points != 0).any(axis=1)
+    distance = 1000.0 * np.sqrt((points[seen].astype(np.float64) ** 2).sum(axis=1))
+    return bool((np.abs(told[seen] - distance) <= _BESIDE_AXIS).mean() > _MOST)
+
+
 def quantise(
     sweep: Sweep, sensor: SensorModel, max_error: float, gaps: NDArray[np.float64] | None = None
 ) -> Sweep:
@@ -142,7 +155,8 @@ def quantise(
 
     A return that would be farther, or out of its place in the file, becomes a stray. A bound below the
     1 mm rounding of the published points is met by staying lossless. So is one that float64 coordinates
-    of a recorded cloud eat up when they become float32; else it is made tighter by as much.
+    of a recorded cloud eat up when they become float32; else it is made tighter by as much. Points whose message tells their
+    distances exactly stay exact, too: these would give them back, and cost more without them.
 
     Args:
         gaps: ``(2, M)``, between which keys of :func:`~salpcc.stages.lattice.layers.return_keys` the place of each
@@ -151,6 +165,8 @@ def quantise(
     if sweep.cloud is not None:
         rounding = coordinate_rounding(sweep_to_scan(sweep, sensor))
         max_error = max_error - rounding if rounding <= max_error / 2 else 0.0
+        if gaps is None and _distances_are_told(sweep, sensor):
+            max_error = 0.0
     exact = max_error == 0 or (max_error < _ROUNDING and len(sweep.laser) > 0)
     if exact and gaps is None:
         return sweep
