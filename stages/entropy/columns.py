@@ -11,17 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import (
-    decode_interval,
-    decode_mixed_bit,
-    decode_target,
-    encode_interval,
-    encode_mixed_bit,
-    finish_encoder,
-    new_bits,
-    start_decoder,
-    start_encoder,
-)
+from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.range_coder import new_bits
+from salpcc.stages.entropy.walks import code_mixed_bit, code_raw, failed, finish_coder, start_coder, uncounted
 
 LEFT, ABOVE, SLOPE, LINE, MEAN, EDGE = range(6)
 PREDICTORS = 6
@@ -49,6 +41,11 @@ def _size(magnitude: int) -> int:
         size += 1
         magnitude = (magnitude >> 1) & 0x7FFFFFFFFFFFFFFF
     return size
+
+
+def nothing_yet() -> NDArray[np.int64]:
+    """Places ``(2, 2)`` of the last two values of either kind, before the first."""
+    return np.full((2, 2), -1, np.int64)
 
 
 @njit(cache=True)
@@ -115,8 +112,53 @@ def _contexts(
     return first * 262, second * 262
 
 
-@njit(cache=True)
-def _encode_residuals(
+@uncounted
+def _code_residual(
+    decoding: bool,
+    residual: int,
+    width: int,
+    state: NDArray[np.int64],
+    a: NDArray[np.uint16],
+    f: int,
+    b: NDArray[np.uint16],
+    g: int,
+    buffer: NDArray[np.uint8],
+) -> tuple[int, int]:
+    """Code zero or not, sign, size in unary, two leading bits, the rest as it is; returns residual and size."""
+    magnitude = abs(residual)
+    size = _size(magnitude)
+    if code_mixed_bit(decoding, state, buffer, a, f, b, g, 1 if size > 0 else 0) == 0:
+        return np.int64(0), 0
+    negative = code_mixed_bit(decoding, state, buffer, a, f + 1, b, g + 1, 1 if residual < 0 else 0)
+    s = 1
+    while s < width:
+        at = 2 + 4 * s
+        if code_mixed_bit(decoding, state, buffer, a, f + at, b, g + at, 1 if s < size else 0) == 0:
+            break
+        s += 1
+    size = s
+    value = np.int64(1)
+    node = 1
+    bits = size - 1
+    while bits > 0 and node < 4:
+        bits -= 1
+        at = 2 + 4 * size + node
+        bit = code_mixed_bit(decoding, state, buffer, a, f + at, b, g + at, (magnitude >> bits) & 1)
+        value = (value << 1) | bit
+        node = 2 + bit if node == 1 else 4
+    while bits > 0:
+        chunk = min(bits, 24)
+        bits -= chunk
+        value = (value << chunk) | code_raw(decoding, state, buffer, chunk, magnitude >> bits)
+    return -value if negative == 1 else value, size
+
+
+@uncounted
+def _walk(
+    decoding: bool,
+    state: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    last: NDArray[np.int64],
     values: Values,
     void: Flags,
     period: int,
@@ -124,105 +166,34 @@ def _encode_residuals(
     width: int,
     a: NDArray[np.uint16],
     b: NDArray[np.uint16],
-    out: NDArray[np.uint8],
+    buffer: NDArray[np.uint8],
 ) -> int:
-    state = start_encoder()
-    sizes = np.zeros(len(values), np.int64)
-    last = np.full((2, 2), -1, np.int64)
     for i in range(len(values)):
         left, second, above, corner = neighbours(values, void, i, period, last)
-        residual = _wrap(values[i] - _predict(predictor, left, second, above, corner), width)
+        predicted = _predict(predictor, left, second, above, corner)
         f, g = _contexts(sizes, void, i, period, last, _size(abs(left - above) + abs(above - corner)))
-        magnitude = abs(residual)
-        size = _size(magnitude)
-        encode_mixed_bit(state, out, a, f, b, g, 1 if size > 0 else 0)
-        if size > 0:
-            encode_mixed_bit(state, out, a, f + 1, b, g + 1, 1 if residual < 0 else 0)
-            for s in range(1, size):
-                encode_mixed_bit(state, out, a, f + 2 + 4 * s, b, g + 2 + 4 * s, 1)
-            if size < width:
-                encode_mixed_bit(state, out, a, f + 2 + 4 * size, b, g + 2 + 4 * size, 0)
-            node = 1
-            bits = size - 1
-            while bits > 0 and node < 4:
-                bits -= 1
-                bit = (magnitude >> bits) & 1
-                at = 2 + 4 * size + node
-                encode_mixed_bit(state, out, a, f + at, b, g + at, bit)
-                node = 2 + bit if node == 1 else 4
-            while bits > 0:
-                chunk = min(bits, 24)
-                bits -= chunk
-                encode_interval(state, out, (magnitude >> bits) & ((1 << chunk) - 1), 1, chunk)
-        sizes[i] = size
+        residual = _wrap(values[i] - predicted, width)
+        residual, sizes[i] = _code_residual(decoding, residual, width, state, a, f, b, g, buffer)
+        if failed(state):
+            break
+        values[i] = _wrap(predicted + residual, width)
         kind = 1 if void[i] else 0
         last[kind, 1] = last[kind, 0]
         last[kind, 0] = i
-    return finish_encoder(state, out)
-
-
-@njit(cache=True)
-def _decode_residuals(
-    void: Flags,
-    period: int,
-    predictor: int,
-    width: int,
-    a: NDArray[np.uint16],
-    b: NDArray[np.uint16],
-    data: NDArray[np.uint8],
-) -> tuple[Values, bool]:
-    values = np.zeros(len(void), np.int64)
-    sizes = np.zeros(len(void), np.int64)
-    state = start_decoder(data)
-    last = np.full((2, 2), -1, np.int64)
-    for i in range(len(void)):
-        left, second, above, corner = neighbours(values, void, i, period, last)
-        f, g = _contexts(sizes, void, i, period, last, _size(abs(left - above) + abs(above - corner)))
-        size = 0
-        magnitude = np.int64(0)
-        negative = False
-        if decode_mixed_bit(state, data, a, f, b, g) == 1:
-            negative = decode_mixed_bit(state, data, a, f + 1, b, g + 1) == 1
-            size = 1
-            while (
-                size < width and decode_mixed_bit(state, data, a, f + 2 + 4 * size, b, g + 2 + 4 * size) == 1
-            ):
-                size += 1
-            magnitude = np.int64(1)
-            node = 1
-            bits = size - 1
-            while bits > 0 and node < 4:
-                bits -= 1
-                at = 2 + 4 * size + node
-                bit = decode_mixed_bit(state, data, a, f + at, b, g + at)
-                magnitude = (magnitude << 1) | bit
-                node = 2 + bit if node == 1 else 4
-            while bits > 0:
-                chunk = min(bits, 24)
-                bits -= chunk
-                target = decode_target(state, chunk)
-                decode_interval(state, data, target, 1, chunk)
-                magnitude = (magnitude << chunk) | target
-        if state[3] != 0:
-            return values, False
-        residual = -magnitude if negative else magnitude
-        values[i] = _wrap(_predict(predictor, left, second, above, corner) + residual, width)
-        sizes[i] = size
-        kind = 1 if void[i] else 0
-        last[kind, 1] = last[kind, 0]
-        last[kind, 0] = i
-    return values, True
+    return finish_coder(decoding, state, buffer)
 
 
 def encode_residuals(values: Values, void: Flags, period: int, predictor: int, width: int) -> bytes:
     """Encode values ``(N,)``, signed numbers of ``width`` bits."""
-    size = 4 * len(values) + 4096
-    while True:
-        out = np.empty(size, np.uint8)
-        written = int(_encode_residuals(values, void, period, predictor, width, *_residual_models(), out))
-        if written >= 0:
-            return out[:written].tobytes()
-        size *= 4
+
+    def walk(out: NDArray[np.uint8]) -> int:
+        state, sizes, models = start_coder(False, out), np.zeros(len(values), np.int64), _residual_models()
+        coded = values.copy()
+        return int(
+            _walk(False, state, sizes, nothing_yet(), coded, void, period, predictor, width, *models, out)
+        )
+
+    return run_encoder(walk, len(values))
 
 
 def decode_residuals(
@@ -230,5 +201,7 @@ def decode_residuals(
 ) -> tuple[Values, bool]:
     """Inverse of :func:`encode_residuals`: the values, and whether the data made sense."""
     raw = np.frombuffer(bytearray(data), np.uint8)
-    values, sound = _decode_residuals(void, period, predictor, width, *_residual_models(), raw)
-    return values, bool(sound)
+    values = np.zeros(len(void), np.int64)
+    state, sizes, models = start_coder(True, raw), np.zeros(len(void), np.int64), _residual_models()
+    done = _walk(True, state, sizes, nothing_yet(), values, void, period, predictor, width, *models, raw)
+    return values, done == 0

@@ -3,75 +3,49 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.columns import Flags, Values, neighbours
-from salpcc.stages.entropy.range_coder import (
-    decode_mixed_bit,
-    encode_mixed_bit,
-    finish_encoder,
-    new_bits,
-    start_decoder,
-    start_encoder,
-)
+from salpcc.stages.entropy.columns import Flags, Values, neighbours, nothing_yet
+from salpcc.stages.entropy.range_coder import new_bits
+from salpcc.stages.entropy.walks import code_mixed_tree, failed, finish_coder, start_coder, uncounted
 
 
 def _symbol_models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     return new_bits(1 << 17), new_bits(1 << 17)
 
 
-@njit(cache=True)
-def _encode_symbols(
+@uncounted
+def _walk(
+    decoding: bool,
+    state: NDArray[np.int64],
+    last: NDArray[np.int64],
     values: Values,
     void: Flags,
     period: int,
     a: NDArray[np.uint16],
     b: NDArray[np.uint16],
-    out: NDArray[np.uint8],
+    buffer: NDArray[np.uint8],
 ) -> int:
-    state = start_encoder()
-    last = np.full((2, 2), -1, np.int64)
     for i in range(len(values)):
         left, _, above, _ = neighbours(values, void, i, period, last)
         kind = 1 if void[i] else 0
         f = (kind * 256 + left) * 256
         g = (kind * 256 + above) * 256
-        node = 1
-        for shift in range(7, -1, -1):
-            bit = (values[i] >> shift) & 1
-            encode_mixed_bit(state, out, a, f + node, b, g + node, bit)
-            node = node * 2 + bit
+        values[i] = code_mixed_tree(decoding, state, buffer, a, f, b, g, 8, values[i])
+        if failed(state):
+            break
         last[kind, 0] = i
-    return finish_encoder(state, out)
-
-
-@njit(cache=True)
-def _decode_symbols(
-    void: Flags, period: int, a: NDArray[np.uint16], b: NDArray[np.uint16], data: NDArray[np.uint8]
-) -> tuple[Values, bool]:
-    values = np.zeros(len(void), np.int64)
-    state = start_decoder(data)
-    last = np.full((2, 2), -1, np.int64)
-    for i in range(len(void)):
-        left, _, above, _ = neighbours(values, void, i, period, last)
-        kind = 1 if void[i] else 0
-        f = (kind * 256 + left) * 256
-        g = (kind * 256 + above) * 256
-        node = 1
-        for _ in range(8):
-            node = node * 2 + decode_mixed_bit(state, data, a, f + node, b, g + node)
-        if state[3] != 0:
-            return values, False
-        values[i] = node & 255
-        last[kind, 0] = i
-    return values, True
+    return finish_coder(decoding, state, buffer)
 
 
 def encode_symbols(values: Values, void: Flags, period: int) -> bytes:
     """Encode values ``(N,)`` of 0 to 255."""
     out = np.empty(16 * len(values) + 4096, np.uint8)  # a bit costs 11 at most
-    written = int(_encode_symbols(values, void, period, *_symbol_models(), out))
+    written = int(
+        _walk(
+            False, start_coder(False, out), nothing_yet(), values.copy(), void, period, *_symbol_models(), out
+        )
+    )
     assert written >= 0
     return out[:written].tobytes()
 
@@ -79,5 +53,7 @@ def encode_symbols(values: Values, void: Flags, period: int) -> bytes:
 def decode_symbols(void: Flags, period: int, data: bytes) -> tuple[Values, bool]:
     """Inverse of :func:`encode_symbols`."""
     raw = np.frombuffer(bytearray(data), np.uint8)
-    values, sound = _decode_symbols(void, period, *_symbol_models(), raw)
-    return values, bool(sound)
+    values = np.zeros(len(void), np.int64)
+    return values, _walk(
+        True, start_coder(True, raw), nothing_yet(), values, void, period, *_symbol_models(), raw
+    ) == 0

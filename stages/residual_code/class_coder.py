@@ -6,17 +6,38 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import (
-    decode_bit,
-    encode_bit,
-    finish_encoder,
-    start_decoder,
-    start_encoder,
-)
+from salpcc.stages.entropy.walks import code_tree, finish_coder, start_coder, uncounted
 
 BITS = 5  # 32 classes at most
 _TREE = 1 << BITS
 CONTEXTS = _TREE * _TREE * _TREE
+
+
+@uncounted
+def _walk(
+    decoding: bool,
+    state: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    value: NDArray[np.uint8],
+    model: NDArray[np.uint16],
+    buffer: NDArray[np.uint8],
+) -> int:
+    above = 0
+    for k in range(len(starts) - 1):
+        begin = starts[k]
+        j = above
+        left = np.int64(0)
+        for i in range(begin, starts[k + 1]):
+            while j + 1 < begin and tick[j] < tick[i]:
+                j += 1
+            up = np.int64(value[j]) if j < begin else 0
+            context = (left * _TREE + up) * _TREE
+            left = np.int64(code_tree(decoding, state, buffer, model, context, BITS, value[i]))
+            value[i] = left
+        if starts[k + 1] > begin:
+            above = begin
+    return finish_coder(decoding, state, buffer)
 
 
 @njit(cache=True)
@@ -28,25 +49,7 @@ def encode_classes(
     out: NDArray[np.uint8],
 ) -> int:
     """Encode classes below 32 ``(M,)``; return the bytes written to ``out``, -1 if full."""
-    state = start_encoder()
-    above = 0
-    for k in range(len(starts) - 1):
-        begin = starts[k]
-        j = above
-        left = 0
-        for i in range(begin, starts[k + 1]):
-            while j + 1 < begin and tick[j] < tick[i]:
-                j += 1
-            up = np.int64(value[j]) if j < begin else 0
-            node = 1
-            for b in range(BITS - 1, -1, -1):
-                bit = (np.int64(value[i]) >> b) & 1
-                encode_bit(state, out, model, (left * _TREE + up) * _TREE + node, bit)
-                node = node << 1 | bit
-            left = np.int64(value[i])
-        if starts[k + 1] > begin:
-            above = begin
-    return finish_encoder(state, out)
+    return _walk(False, start_coder(False, out), starts, tick, value.copy(), model, out)
 
 
 @njit(cache=True)
@@ -55,21 +58,4 @@ def decode_classes(
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_classes`; the classes and whether the data sufficed."""
     value = np.zeros(len(tick), np.uint8)
-    state = start_decoder(data)
-    above = 0
-    for k in range(len(starts) - 1):
-        begin = starts[k]
-        j = above
-        left = 0
-        for i in range(begin, starts[k + 1]):
-            while j + 1 < begin and tick[j] < tick[i]:
-                j += 1
-            up = np.int64(value[j]) if j < begin else 0
-            node = 1
-            for _bit in range(BITS):
-                node = node << 1 | decode_bit(state, data, model, (left * _TREE + up) * _TREE + node)
-            left = node - _TREE
-            value[i] = left
-        if starts[k + 1] > begin:
-            above = begin
-    return value, state[3] == 0
+    return value, _walk(True, start_coder(True, data), starts, tick, value, model, data) == 0

@@ -11,16 +11,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import (
-    decode_mixed_bit,
-    encode_mixed_bit,
-    finish_encoder,
-    start_decoder,
-    start_encoder,
-)
+from salpcc.stages.entropy.walks import code_mixed_tree, failed, finish_coder, start_coder, uncounted
 
 LEVELS = 101
-_TREE = 128
+_BITS = 7
+_TREE = 1 << _BITS
 _MEANS = 26
 _SPREADS = 6
 CONTEXTS = _MEANS * _SPREADS * _TREE
@@ -80,7 +75,39 @@ def _context(
     return fine, min(np.int64(mean * 0.15), _LASER_MEANS - 1)
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted
+def _walk(
+    decoding: bool,
+    state: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    level: NDArray[np.int32],
+    value: NDArray[np.uint8],
+    model: NDArray[np.uint16],
+    by_laser: NDArray[np.uint16],
+    buffer: NDArray[np.uint8],
+) -> int:
+    above = 0
+    for k in range(len(starts) - 1):
+        begin = starts[k]
+        j = above - 1
+        for i in range(begin, starts[k + 1]):
+            while j + 1 < begin and tick[j + 1] <= tick[i]:
+                j += 1
+            context, mean = _context(i, begin, above, j, level, value)
+            here = (k * _LASER_MEANS + mean) * _TREE
+            coded = code_mixed_tree(
+                decoding, state, buffer, model, context * _TREE, by_laser, here, _BITS, value[i]
+            )
+            if coded >= LEVELS or failed(state):
+                return -1
+            value[i] = coded
+        if starts[k + 1] > begin:
+            above = begin
+    return finish_coder(decoding, state, buffer)
+
+
+@njit(cache=True)
 def encode_intensity(
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],
@@ -91,28 +118,10 @@ def encode_intensity(
     out: NDArray[np.uint8],
 ) -> int:
     """Encode intensities 0..100 ``(M,)``; return the bytes written to ``out``, -1 if full."""
-    state = start_encoder()
-    above = 0
-    for k in range(len(starts) - 1):
-        begin = starts[k]
-        j = above - 1
-        for i in range(begin, starts[k + 1]):
-            while j + 1 < begin and tick[j + 1] <= tick[i]:
-                j += 1
-            context, mean = _context(i, begin, above, j, level, value)
-            here = (k * _LASER_MEANS + mean) * _TREE
-            context *= _TREE
-            node = 1
-            for b in range(6, -1, -1):
-                bit = (np.int64(value[i]) >> b) & 1
-                encode_mixed_bit(state, out, model, context + node, by_laser, here + node, bit)
-                node = node << 1 | bit
-        if starts[k + 1] > begin:
-            above = begin
-    return finish_encoder(state, out)
+    return _walk(False, start_coder(False, out), starts, tick, level, value.copy(), model, by_laser, out)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def decode_intensity(
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],
@@ -123,24 +132,4 @@ def decode_intensity(
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_intensity`; the values and whether the data sufficed and made sense."""
     value = np.zeros(len(tick), np.uint8)
-    state = start_decoder(data)
-    above = 0
-    for k in range(len(starts) - 1):
-        begin = starts[k]
-        j = above - 1
-        for i in range(begin, starts[k + 1]):
-            while j + 1 < begin and tick[j + 1] <= tick[i]:
-                j += 1
-            context, mean = _context(i, begin, above, j, level, value)
-            here = (k * _LASER_MEANS + mean) * _TREE
-            context *= _TREE
-            node = 1
-            for _ in range(7):
-                bit = decode_mixed_bit(state, data, model, context + node, by_laser, here + node)
-                node = node << 1 | bit
-            if node - _TREE >= LEVELS:
-                return value, False
-            value[i] = node - _TREE
-        if starts[k + 1] > begin:
-            above = begin
-    return value, state[3] == 0
+    return value, _walk(True, start_coder(True, data), starts, tick, level, value, model, by_laser, data) == 0

@@ -11,13 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import (
-    decode_bit,
-    encode_bit,
-    finish_encoder,
-    start_decoder,
-    start_encoder,
-)
+from salpcc.stages.entropy.walks import code_bit, finish_coder, start_coder, uncounted
 
 _BUCKETS = 24
 CONTEXTS = _BUCKETS + 1
@@ -50,6 +44,35 @@ def correction_reach(distance: NDArray[np.float64], codes: NDArray[np.uint8]) ->
     return reach
 
 
+@uncounted
+def _walk(
+    decoding: bool,
+    state: NDArray[np.int64],
+    distance: NDArray[np.float64],
+    step: NDArray[np.int8],
+    reach: float,
+    codes: NDArray[np.uint8],
+    model: NDArray[np.uint16],
+    buffer: NDArray[np.uint8],
+) -> int:
+    for i in range(len(codes)):
+        given = np.int64(codes[i])
+        digits = (given // 9 - 1, given // 3 % 3 - 1, given % 3 - 1)
+        code = np.int64(0)
+        for c in range(3):
+            digit = np.int64(0)
+            if distance[i, c] <= reach:
+                context = _bucket(distance[i, c], reach)
+                if code_bit(decoding, state, buffer, model, context, 1 if digits[c] != 0 else 0):
+                    back = code_bit(
+                        decoding, state, buffer, model, _ACROSS, 1 if digits[c] != step[i, c] else 0
+                    )
+                    digit = np.int64(-step[i, c] if back else step[i, c])
+            code = code * 3 + digit + 1
+        codes[i] = code
+    return finish_coder(decoding, state, buffer)
+
+
 @njit(cache=True)
 def encode_corrections(
     distance: NDArray[np.float64],
@@ -64,17 +87,7 @@ def encode_corrections(
     Args:
         distance, step: ``(M, 3)``, see :mod:`salpcc.stages.lattice.publish`.
     """
-    state = start_encoder()
-    for i in range(len(codes)):
-        code = np.int64(codes[i])
-        digits = (code // 9 - 1, code // 3 % 3 - 1, code % 3 - 1)
-        for c in range(3):
-            if distance[i, c] <= reach:
-                bucket = _bucket(distance[i, c], reach)
-                encode_bit(state, out, model, bucket, 1 if digits[c] != 0 else 0)
-                if digits[c] != 0:
-                    encode_bit(state, out, model, _ACROSS, 0 if digits[c] == step[i, c] else 1)
-    return finish_encoder(state, out)
+    return _walk(False, start_coder(False, out), distance, step, reach, codes.copy(), model, out)
 
 
 @njit(cache=True, nogil=True)
@@ -87,14 +100,4 @@ def decode_corrections(
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_corrections`; the codes and whether the data sufficed."""
     codes = np.full(len(distance), _NONE, np.uint8)
-    state = start_decoder(data)
-    for i in range(len(distance)):
-        code = 0
-        for c in range(3):
-            digit = 1
-            if distance[i, c] <= reach and decode_bit(state, data, model, _bucket(distance[i, c], reach)):
-                across = decode_bit(state, data, model, _ACROSS) == 0
-                digit = 1 + (step[i, c] if across else -step[i, c])
-            code = code * 3 + digit
-        codes[i] = code
-    return codes, state[3] == 0
+    return codes, _walk(True, start_coder(True, data), distance, step, reach, codes, model, data) == 0
