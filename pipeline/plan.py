@@ -93,12 +93,22 @@ def missing_root(root: Path, source: str) -> str:
 
 
 def select(refs: list[ScanRef], frames: tuple[int, int] | None) -> list[ScanRef]:
-    """Keep the scans whose frame number lies in ``[frames[0], frames[1])``."""
+    """Keep the scans whose frame number lies in ``[frames[0], frames[1])``.
+
+    >>> refs = [ScanRef(f"{n:06d}", n, "", n) for n in range(5)]
+    >>> [ref.number for ref in select(refs, (1, 3))]
+    [1, 2]
+    """
     return [ref for ref in refs if frames is None or frames[0] <= ref.number < frames[1]]
 
 
 def cut(source: str, sequence: str, refs: list[ScanRef], size: int) -> tuple[GopSource, ...]:
-    """Cut a sequence into GOPs of ``size`` scans of one topic, by time; the last may be shorter."""
+    """Cut a sequence into GOPs of ``size`` scans of one topic, by time; the last may be shorter.
+
+    >>> refs = [ScanRef(f"{n:06d}", n, "", n) for n in range(5)]
+    >>> [len(gop.scans) for gop in cut("semantickitti", "04", refs, 2)]
+    [2, 2, 1]
+    """
     groups = []
     for topic in sorted({ref.topic for ref in refs}):
         of_topic = [ref for ref in refs if ref.topic == topic]

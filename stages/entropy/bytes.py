@@ -33,7 +33,12 @@ def _walk(
 
 
 def encode_bytes(now: bytes, before: bytearray) -> bytes:
-    """Encode bytes against the ones before, which become these."""
+    """Encode bytes against the ones before, which become these.
+
+    >>> code = encode_bytes(b"frame 18", bytearray(b"frame 17"))
+    >>> len(code), decode_bytes(code, 8, bytearray(b"frame 17"))
+    (6, b'frame 18')
+    """
     out = np.empty(16 * len(now) + 64, np.uint8)
     known = np.frombuffer(bytes(before), np.uint8).copy()
     written = _walk(

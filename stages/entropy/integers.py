@@ -78,7 +78,13 @@ def _walk(
 
 @njit(cache=True)
 def encode_integers(rows: NDArray[np.int64], model: NDArray[np.uint16], out: NDArray[np.uint8]) -> int:
-    """Encode ``(S, C)`` integers of magnitude below 2 ** 46; bytes written to ``out``, -1 if full."""
+    """Encode ``(S, C)`` integers of magnitude below 2 ** 46; bytes written to ``out``, -1 if full.
+
+    >>> rows, out = np.array([[1, -7], [2, -7]]), np.zeros(64, np.uint8)
+    >>> size = encode_integers(rows, integer_model(2), out)
+    >>> decode_integers(2, 2, integer_model(2), out[:size])[0].tolist()
+    [[1, -7], [2, -7]]
+    """
     return _walk(False, start_coder(False, out), np.zeros(rows.shape[1], np.int64), rows.copy(), model, out)
 
 

@@ -94,7 +94,17 @@ def _adapt(model: NDArray[np.uint16], context: int, goal: int) -> None:
 def encode_bit(
     state: NDArray[np.int64], out: NDArray[np.uint8], model: NDArray[np.uint16], context: int, bit: int
 ) -> None:
-    """Encode one bit in a context of ``model`` and adapt the context."""
+    """Encode one bit in a context of ``model`` and adapt the context.
+
+    >>> out, model = np.zeros(16, np.uint8), new_bits(1)
+    >>> state = start_encoder()
+    >>> for bit in (0, 0, 1, 0):
+    ...     encode_bit(state, out, model, 0, bit)
+    >>> data, model = out[: finish_encoder(state, out)], new_bits(1)
+    >>> state = start_decoder(data)
+    >>> [decode_bit(state, data, model, 0) for _ in range(4)]
+    [0, 0, 1, 0]
+    """
     zero = min(max(_weight(model, context) >> 1, 32), 65504)
     width = state[1]
     bound = (width >> 16) * zero

@@ -92,6 +92,13 @@ def unproject(
     """Return the model points ``(M, 3)``, metres, of returns given as ``(M,)`` arrays.
 
     The same on every machine (see :mod:`salpcc.stages.lattice.trig`). ``count`` may be fractional.
+
+    >>> from salpcc.stages.lattice.sensor_model import load_sensor
+    >>> sensor = load_sensor("hdl64e")
+    >>> laser, tick, count = np.array([0, 63], np.uint8), np.array([0, 1000], np.int32), np.array([5000, 2000], np.int32)
+    >>> points = unproject(sensor, laser, tick, count)
+    >>> np.hypot(points[:, 0], points[:, 1]).round(2), points[:, 2].round(2)  # ahead, and a quarter turn to the left
+    (array([9.99, 3.62]), array([ 0.55, -1.57]))
     """
     return _unproject(
         sensor.parameters, sensor.count, sensor.ticks_per_turn, laser, tick, count.astype(np.float64)

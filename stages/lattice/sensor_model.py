@@ -154,6 +154,9 @@ def load_sensor(name: str | Path) -> SensorModel:
 
     Raises:
         SensorError: no such model, or not readable as one.
+
+    >>> load_sensor("hdl64e").n_lasers
+    64
     """
     path = SENSORS / f"{name}.json"
     if not path.is_file():

@@ -110,6 +110,12 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
 
     Args:
         start: motion of the scan before, from which the inversion starts.
+
+    >>> from salpcc.stages.lattice.sensor_model import load_sensor
+    >>> points = np.array([[10, 0, 0.5], [0, 4, -1.9]], np.float32)
+    >>> sweep = scan_to_sweep(Scan("000000", points, np.zeros(2, np.float32)), load_sensor("hdl64e"))
+    >>> np.array_equal(sweep_to_scan(sweep, load_sensor("hdl64e")).points, points)
+    True
     """
     points = np.ascontiguousarray(scan.points, dtype=np.float32)
     within = within_reach(points)
