@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from salpcc.pipeline.cli.described import show_archive, show_shard
-from salpcc.pipeline.cli.run_sequences import PLACE, parse_frames
+from salpcc.pipeline.cli.run_options import PLACE, parse_frames
 from salpcc.pipeline.cli.summary import layers_in_words
 from salpcc.pipeline.machine import cores
 from salpcc.pipeline.progress import STDERR

@@ -15,7 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from salpcc.pipeline.cli.run_sequences import Scheduler, Workers
+from salpcc.pipeline.cli.run_options import Scheduler, Workers
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.stages.mapping.open3d_library import load_open3d

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from salpcc.pipeline.cli.archives import Json, Path_
-from salpcc.pipeline.cli.run_sequences import parse_frames
+from salpcc.pipeline.cli.run_options import parse_frames
 from salpcc.pipeline.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require

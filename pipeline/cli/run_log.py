@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from salpcc.pipeline.cli.run_sequences import (
+from salpcc.pipeline.cli.run_options import (
     CODING,
     INPUT,
     Baselines,
@@ -30,11 +30,11 @@ from salpcc.pipeline.cli.run_sequences import (
     Weights,
     Workers,
     config_of,
-    execute,
     parse_errors,
     parse_frames,
     stages_of,
 )
+from salpcc.pipeline.cli.run_result import execute
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
