@@ -7,6 +7,7 @@
     with Archive.open("04.mcap") as archive:
         scan = archive[3]  # decodes the GOP of scan 3, up to it
         scan = archive["000003"]  # by its name
+        scan = archive.at(300_000_000)  # the nearest in time, ns
         for scan in archive:
             scan.points, scan.intensity, scan.classes, scan.time, scan.motion
 """
@@ -17,12 +18,16 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import cached_property
 from html import escape
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal, Self, get_args, overload
 
-from salpcc.schemas.errors import ArchiveError, UsageError
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import ArchiveError, KindError, UsageError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
@@ -336,6 +341,28 @@ class Archive(Sequence[Scan]):
     def names(self) -> list[str]:
         """Names of the scans, in order."""
         return [self._reader.gops[g][i].name for g, i in self._places]
+
+    @cached_property
+    def times(self) -> NDArray[np.int64]:
+        """Time stamps ``(len(self),)`` of the scans in ns, in their order; no scan is decoded for them."""
+        return np.array(
+            [t for gop in range(len(self._reader.gops)) for t in self._reader.times(gop)], np.int64
+        )
+
+    def at(self, time: int) -> Scan:
+        """Return the scan whose time stamp (ns) is nearest to one; of two, the one before.
+
+        Raises:
+            KindError: the time is no whole number.
+            IndexError: the archive holds no scan.
+            ArchiveError: its GOP is damaged.
+        """
+        if not isinstance(time, int | np.integer) or isinstance(time, bool):
+            raise KindError(f"time {time!r} is no whole number of nanoseconds, as those of scans are")
+        if not len(self):
+            raise IndexError(f"{self._reader.path} holds no scan")
+        distance = np.abs(self.times - min(max(int(time), 0), (1 << 63) - 1))
+        return self[int(np.lexsort((self.times, distance))[0])]
 
     def __len__(self) -> int:
         return len(self._places)

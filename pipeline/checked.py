@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.config import RunConfig
-from salpcc.schemas.errors import UsageError
+from salpcc.schemas.errors import KindError, UsageError
 from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.arrays import array_of, float32
 from salpcc.stages.residual_code.archive.format import file_name
 
 _LONGEST_NAME = 200  # bytes, as files have an ending besides
@@ -28,7 +29,7 @@ def checked(scans: Iterable[Scan], config: RunConfig) -> Iterator[Scan]:
     labelled: bool | None = None
     for scan in scans:
         if not isinstance(scan, Scan):
-            raise UsageError(f"{type(scan).__name__} is no Scan; make one: Scan(name, points, intensity)")
+            raise KindError(f"{type(scan).__name__} is no Scan; make one: Scan(name, points, intensity)")
         where = f"scan {scan.name!r}"
         labelled = scan.labels is not None if labelled is None else labelled
         check_name(scan.name, "scan")
@@ -41,12 +42,12 @@ def checked(scans: Iterable[Scan], config: RunConfig) -> Iterator[Scan]:
             raise UsageError(f"{where}: time {scan.time} is negative, or too large for 63 bits")
         if not isinstance(scan.frame_id, str):
             raise UsageError(f"{where}: frame_id {scan.frame_id!r} is no text")
-        points = _float32(scan.points, f"{where}: points")
+        points = float32(scan.points, f"{where}: points")
         if points.ndim != 2 or points.shape[1] != 3:
-            raise UsageError(f"{where}: points of shape {points.shape}; they are (N, 3), x, y, z in metres")
-        intensity = _float32(scan.intensity, f"{where}: intensity")
+            raise KindError(f"{where}: points of shape {points.shape}; they are (N, 3), x, y, z in metres")
+        intensity = float32(scan.intensity, f"{where}: intensity")
         if intensity.shape != (len(points),):
-            raise UsageError(f"{where}: intensity of shape {intensity.shape} for {len(points)} points")
+            raise KindError(f"{where}: intensity of shape {intensity.shape} for {len(points)} points")
         if scan.cloud is not None and len(scan.cloud.rest) != len(points):
             raise UsageError(f"{where}: a cloud of {len(scan.cloud.rest)} points for {len(points)}")
         yield replace(
@@ -73,32 +74,16 @@ def check_name(name: object, what: str) -> None:
         raise UsageError(f"{what} {str(name)[:20]!r}…: a name has at most {_LONGEST_NAME} bytes")
 
 
-def _float32(values: Any, what: str) -> NDArray[np.float32]:
-    """Values as float32, where that changes none."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "fiu":
-        raise UsageError(f"{what} of type {array.dtype}; float32 is what is coded")
-    with np.errstate(over="ignore", invalid="ignore"):
-        narrow = np.ascontiguousarray(array, np.float32)
-        off = np.abs(narrow.astype(np.float64) - array)
-    if not ((narrow == array) | np.isnan(array)).all():
-        raise UsageError(
-            f"{what} of type {array.dtype} that float32 would change by up to {np.nanmax(off):.3g}; take an offset off "
-            "them, or round them yourself: .astype(numpy.float32)"
-        )
-    return narrow
-
-
 def _labels(values: Any, n_points: int, where: str, wanted: bool) -> NDArray[np.uint32] | None:
     if (values is not None) != wanted:
         had = "have" if wanted else "have none"
         raise UsageError(f"{where}: labels {'missing' if wanted else 'given'}, and the scans before {had}")
     if values is None:
         return None
-    array = np.asarray(values)
+    array = array_of(values)
     sound = array.shape == (n_points,) and array.dtype.kind in "iu"
     if not sound or (n_points and not 0 <= int(array.min()) <= int(array.max()) < 1 << 32):
-        raise UsageError(
+        raise KindError(
             f"{where}: labels {array.dtype} of shape {array.shape}; they are whole numbers ({n_points},) of 32 bits"
         )
     return np.ascontiguousarray(array, np.uint32)
@@ -109,9 +94,9 @@ def _classes(values: Any, n_points: int, where: str, needed: bool) -> NDArray[np
         if needed:
             raise UsageError(f"{where}: labels are given, but its classes are None")
         return None
-    array = np.asarray(values)
+    array = array_of(values)
     if array.shape != (n_points,) or array.dtype.kind not in "iu":
-        raise UsageError(
+        raise KindError(
             f"{where}: classes {array.dtype} of shape {array.shape}; they are whole numbers ({n_points},)"
         )
     if n_points and not 0 <= array.min() <= array.max() < len(CLASSES):

@@ -14,12 +14,13 @@ from salpcc.pipeline.archive import decoded_scans
 from salpcc.pipeline.checked import check_name, checked
 from salpcc.pipeline.verify import Verdict, compare
 from salpcc.schemas.config import RunConfig
-from salpcc.schemas.errors import ArchiveError, UsageError
+from salpcc.schemas.errors import ArchiveError, KindError, UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import LAYER_COUNTS
 from salpcc.stages.coding import code
+from salpcc.stages.ingest.arrays import is_array, scan_from_arrays
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive.writer import write_archive
@@ -27,34 +28,45 @@ from salpcc.stages.segment.weights_file import weights_digest, weights_path
 
 
 def encode_scans(
-    scans: Iterable[Scan],
+    scans: Iterable[Scan] | Any,
     path: str | Path,
     sequence: str = "scans",
     *,
     overwrite: bool = False,
     **options: Any,
 ) -> Path:
-    """Encode scans to an archive; :class:`~salpcc.pipeline.archive.Archive` gives them back.
+    """Encode scans, or the points of one, to an archive; :class:`~salpcc.pipeline.archive.Archive` gives them back.
 
     Scans are taken one GOP at a time, so a generator of any length will do. Their names must differ and
     may hold no slash; names of digits are taken as frame numbers. Each GOP is decoded again and compared with its scans; the archive
     appears under its name when all of it is right.
 
     Args:
+        scans: an iterable of them, or an array of points ``(N, 3)``, which goes with ``intensity=`` and any other fields of the
+            points as arrays, such as ``ring=`` (:func:`~salpcc.stages.ingest.arrays.scan_from_arrays`).
         overwrite: replace a file that is there.
         options: fields of :class:`~salpcc.schemas.config.RunConfig`, e.g. ``max_error=0.01``. Arrays keep
             their movable points in one layer unless ``keep_movable=False``. With ``labels="given"`` every scan needs its
             ``classes``.
 
     Raises:
-        UsageError: an option is wrong, the file is there, a scan is no scan.
+        UsageError: an option is wrong, or the file is there.
+        KindError: a scan is no scan, or an array of another kind; a TypeError, too.
         SalpccError: the sensor is unknown, or what was written does not decode to the scans.
 
     Example::
 
         scan = Scan("000000", points, intensity)  # float32 (N, 3) in metres, float32 (N,)
         encode_scans([scan], "mine.mcap", max_error=0.01)
+        encode_scans(points, "other.mcap", intensity=intensity, ring=ring, time=time)
     """
+    arrays = {name: options.pop(name) for name in list(options) if is_array(options[name])}
+    if is_array(scans):
+        scans = [scan_from_arrays(scans, **arrays)]
+    elif arrays:
+        raise KindError(
+            f"{', '.join(arrays)}: arrays go with points; of several scans make each by scan_from_arrays(points, …)"
+        )
     try:
         config = resolve(RunConfig(**{"keep_movable": True, **options}))
     except ValidationError as error:

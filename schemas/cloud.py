@@ -76,6 +76,15 @@ class Cloud:
         """The column that tells the time of each point, if there is one."""
         return next((c for c in self.layout.columns if c.name in TIME_FIELDS and c.dtype.itemsize >= 4), None)
 
+    @property
+    def fields(self) -> dict[str, NDArray[np.generic]]:
+        """Its fields by name, in their types: ``(N,)``, or ``(N, k)`` of k elements."""
+        found: dict[str, list[NDArray[np.generic]]] = {}
+        for column in self.layout.columns:
+            if column.name:
+                found.setdefault(column.name, []).append(self.values(column))
+        return {name: np.column_stack(parts) if len(parts) > 1 else parts[0] for name, parts in found.items()}
+
     def values(self, column: Field) -> NDArray[np.generic]:
         """Values ``(N,)`` of one of the layout's columns, native byte order."""
         layout = self.layout

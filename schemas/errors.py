@@ -15,6 +15,10 @@ class UsageError(SalpccError):
     """The command or configuration asks for something that cannot be (exit code 2)."""
 
 
+class KindError(UsageError, TypeError):
+    """An array, or what should be a scan, is of another kind."""
+
+
 class SourceError(SalpccError):
     """A recorded file is missing, truncated or not what it claims to be."""
 

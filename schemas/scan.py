@@ -48,6 +48,11 @@ class Scan:
     def __len__(self) -> int:
         return len(self.points)
 
+    @property
+    def fields(self) -> dict[str, NDArray[np.generic]]:
+        """What points have besides x, y, z and float32 intensity, such as ring and time; ``(N,)`` or ``(N, k)`` by name."""
+        return self.cloud.fields if self.cloud is not None else {}
+
     def __repr__(self) -> str:
         beside = [key for key in ("classes", "labels", "motion", "cloud") if getattr(self, key) is not None]
         also = f", with {', '.join(beside)}" if beside else ""

@@ -2,7 +2,7 @@
 
 ::
 
-    from salpcc import Archive, Scan, encode_scans
+    from salpcc import Archive, Scan, encode_scans, scan_from_arrays
 """
 
 from importlib import import_module
@@ -13,14 +13,16 @@ if TYPE_CHECKING:
     from salpcc.pipeline.encode import encode_scans
     from salpcc.schemas.scan import Scan
     from salpcc.schemas.version import VERSION as __version__
+    from salpcc.stages.ingest.arrays import scan_from_arrays
 
-__all__ = ["Archive", "Scan", "__version__", "encode_scans"]
+__all__ = ["Archive", "Scan", "__version__", "encode_scans", "scan_from_arrays"]
 
 _HOMES = {
     "Archive": ("salpcc.pipeline.archive", "Archive"),
     "Scan": ("salpcc.schemas.scan", "Scan"),
     "__version__": ("salpcc.schemas.version", "VERSION"),
     "encode_scans": ("salpcc.pipeline.encode", "encode_scans"),
+    "scan_from_arrays": ("salpcc.stages.ingest.arrays", "scan_from_arrays"),
 }
 
 

@@ -1,0 +1,101 @@
+"""Scans of arrays with any fields, and what is said of arrays of wrong kinds."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from salpcc import Archive, encode_scans, scan_from_arrays
+from salpcc.schemas.errors import KindError, UsageError
+from salpcc.schemas.scan import Scan
+
+N = 500
+
+
+@pytest.fixture(scope="module")
+def points() -> np.ndarray:
+    return np.random.default_rng(0).normal(0, 10, (N, 3)).astype(np.float32)
+
+
+FIELDS: dict[str, np.ndarray] = {
+    "ring": np.arange(N, dtype=np.uint8) % 32,
+    "time": np.arange(N, dtype=np.uint32) * 1000,
+    "offset": np.linspace(-1, 1, N, dtype=np.float32),
+    "stamp_s": 1.6e9 + np.arange(N) * 1e-5,
+    "normal": np.random.default_rng(1).normal(0, 1, (N, 3)).astype(np.float32),
+    "signed": np.arange(N, dtype=np.int16) - 250,
+}
+
+
+@pytest.mark.parametrize("max_error", [None, 0.01])
+def test_fields_come_back_bit_for_bit(points: np.ndarray, tmp_path: Path, max_error: float | None) -> None:
+    intensity = np.arange(N, dtype=np.uint16)
+    path = tmp_path / "a.mcap"
+    encode_scans(points, path, intensity=intensity, effort="fast", max_error=max_error, **FIELDS)  # type: ignore[arg-type]
+    with Archive.open(path) as archive:
+        (scan,) = archive
+    assert np.linalg.norm(scan.points - points, axis=1).max() <= (max_error or 0)
+    assert (scan.intensity == intensity).all() and list(scan.fields) == list(FIELDS)
+    for name, values in FIELDS.items():
+        assert scan.fields[name].dtype == values.dtype and scan.fields[name].tobytes() == values.tobytes()
+
+
+def test_tensors_are_arrays(points: np.ndarray, tmp_path: Path) -> None:
+    """With gradients or without, views of other order, alone or in scans."""
+    xyz = torch.from_numpy(points).double().requires_grad_()
+    ring = torch.arange(N, dtype=torch.int32)
+    encode_scans(xyz, tmp_path / "a.mcap", ring=ring, intensity=torch.rand(N).round(), effort="fast")  # type: ignore[arg-type]
+    scan = Archive.open(tmp_path / "a.mcap")[0]
+    assert (scan.points == points).all() and (scan.fields["ring"] == ring.numpy()).all()
+    plain = Scan("b", xyz, torch.zeros(N), classes=torch.full((N,), 9))  # type: ignore[arg-type]
+    encode_scans([plain], tmp_path / "b.mcap", effort="fast", labels="given")
+    back = Archive.open(tmp_path / "b.mcap")["b"]
+    assert (back.points == points).all() and (back.classes == 9).all() and back.fields == {}
+    assert (scan_from_arrays(np.asfortranarray(points)[::-1]).points == points[::-1]).all()
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"points": np.zeros((5, 4), np.float32)}, "give the fourth column as intensity"),
+        ({"points": np.zeros(5)}, r"shape \(5,\)"),
+        ({"points": np.array([["a", "b", "c"]])}, "of type <U1"),
+        ({"points": np.full((1, 3), 0.1)}, "float32 would change"),
+        ({"intensity": np.zeros(4)}, r"intensity of shape \(4,\) for 5 points"),
+        ({"ring": np.zeros(4, np.uint8)}, r"ring of shape \(4,\) for 5 points"),
+        ({"ring": np.zeros((5, 2, 2), np.uint8)}, "ring of shape"),
+        ({"ring": np.zeros(5, np.int64)}, r"ring of type int64.*astype"),
+        ({"flag": np.zeros(5, np.bool_)}, r"flag of type bool.*uint8"),
+        ({"ring": torch.zeros(5, dtype=torch.bfloat16)}, "is no array"),
+    ],
+)
+def test_wrong_kinds_are_type_errors(arrays: dict[str, Any], said: str) -> None:
+    given = {"points": np.zeros((5, 3), np.float32), **arrays}
+    with pytest.raises(TypeError, match=said) as caught:
+        scan_from_arrays(given.pop("points"), **given)
+    assert isinstance(caught.value, UsageError)
+
+
+def test_what_does_not_go_together(points: np.ndarray, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="x is a column"):
+        scan_from_arrays(points, x=points[:, 0])
+    scan = Scan("a", points, points[:, 0])
+    with pytest.raises(KindError, match="ring: arrays go with points"):
+        encode_scans([scan], tmp_path / "a.mcap", ring=np.zeros(N))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="ndarray is no Scan"):
+        encode_scans([points], tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+def test_scans_by_time(points: np.ndarray, tmp_path: Path) -> None:
+    times = (0, 100, 200, 1000)
+    scans = [Scan(f"{n:06d}", points, points[:, 0], time) for n, time in enumerate(times)]
+    archive = Archive.open(encode_scans(scans, tmp_path / "a.mcap", effort="fast", gop=3))
+    assert archive.times.tolist() == list(times) and archive.times.dtype == np.int64
+    for time, name in ((0, 0), (-5, 0), (149, 1), (150, 1), (151, 2), (np.int64(601), 3), (1 << 80, 3)):
+        assert archive.at(time).name == f"{name:06d}"  # type: ignore[arg-type]
+    for wrong in (1.5, "100", True, None):
+        with pytest.raises(TypeError, match="whole number of nanoseconds"):
+            archive.at(wrong)  # type: ignore[arg-type]
