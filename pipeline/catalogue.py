@@ -102,7 +102,10 @@ def _counts(metrics: pa.Table) -> dict[str, pa.Array]:
 
 
 def _motion(metrics: pa.Table) -> dict[str, pa.Array]:
-    """Speed and yaw rate from the motion during a turn, and from how long a turn of the sequence takes."""
+    """Speed and yaw rate from the motion during a turn, and from how long a turn of the sequence takes.
+
+    The sensor turns against the azimuth by which the motion counts, hence the sign of the rate.
+    """
     unknown = [np.nan] * 6
     motion = np.array([m or unknown for m in metrics.column("motion").to_pylist()]).reshape(-1, 6)
     turn = np.full(len(motion), np.nan)
@@ -112,7 +115,7 @@ def _motion(metrics: pa.Table) -> dict[str, pa.Array]:
         rows = np.flatnonzero(sequences == sequence)
         turn[rows] = _turn([names[row] for row in rows], times[rows])
     with np.errstate(invalid="ignore", divide="ignore"):
-        speed, yaw_rate = np.linalg.norm(motion[:, :3], axis=1) / turn, motion[:, 5] / turn
+        speed, yaw_rate = np.linalg.norm(motion[:, :3], axis=1) / turn, -motion[:, 5] / turn
     known = np.isfinite(speed)
     return {"speed": pa.array(speed, mask=~known), "yaw_rate": pa.array(yaw_rate, mask=~known)}
 

@@ -12,6 +12,7 @@ EXTRAS = {
     "segment": ("safetensors", "scipy", "torch"),
     "paper": ("brotli", "inflate64", "pyppmd", "safetensors", "scipy", "torch"),
     "map": ("dask", "distributed", "laspy", "lazrs", "matplotlib", "plyfile", "scipy", "small_gicp"),
+    "view": ("rerun",),
     "files": ("fsspec", "mfusepy"),
     "s3": ("fsspec", "upath"),
 }

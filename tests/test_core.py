@@ -143,6 +143,7 @@ def test_the_wheel_alone_reads_verifies_and_writes(bare: Path, tmp_path: Path) -
         ("decode ARCHIVE --to laz --out new", "map"),
         ("decode ARCHIVE --to ply --out new", "map"),
         ("mount ARCHIVE new", "files"),
+        ("view ARCHIVE", "view"),
         ("inspect s3://bucket/00.mcap", "s3"),
         ("verify PAPER", "paper"),
         ("train segment --data .", "segment"),

@@ -1,4 +1,4 @@
-"""``find``, ``cut``, ``merge``, ``mount``: what one takes from archives, and puts together."""
+"""``find``, ``cut``, ``merge``, ``mount``, ``view``: what one takes from archives, and puts together."""
 
 from __future__ import annotations
 
@@ -40,6 +40,9 @@ def register(app: typer.Typer) -> None:
     )(cut)
     app.command(epilog="Example:  `salpcc-pipeline merge first.mcap second.mcap --out whole.mcap`")(merge)
     app.command(epilog="Example:  `salpcc-pipeline mount out/archives /mnt/scans`")(mount)
+    app.command(
+        epilog="Examples:  `salpcc-pipeline view out/archives/04.mcap`  ·  `salpcc-pipeline view map --save map.rrd`"
+    )(view)
 
 
 def find(
@@ -173,3 +176,34 @@ def mount(
 
     STDERR.print(f"{archives} is {folder} until Ctrl-C or `umount {folder}`", soft_wrap=True, markup=False)
     mount_archives(archives, folder, cast("Layers", layers))
+
+
+def view(
+    path: Annotated[
+        Path,
+        typer.Argument(metavar="ARCHIVE|LOG|MAP", help="An archive, a log, or the folder of a map."),
+    ],
+    frames: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Frames A to B - 1, by name or place.")
+    ] = None,
+    layers: Annotated[
+        str, typer.Option(metavar="LAYERS", help="Which layers: all, static, or movable.")
+    ] = "all",
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser, until Ctrl-C.")] = False,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.rrd", help="Write it to a file that Rerun opens.")
+    ] = None,
+) -> None:
+    """Look at scans in 3-D along a time line, coloured by height, intensity, class and layer, with the path driven."""
+    if web and save:
+        raise UsageError("--web and --save: choose one")
+    require("view", "view")
+    from salpcc.pipeline.view import view as view_scans
+    from salpcc.pipeline.view import view_in_browser
+
+    chosen = cast("Layers", layers), parse_frames(frames)
+    if web:
+        view_in_browser(path, *chosen)
+        return
+    scans = view_scans(path, *chosen, save)
+    typer.echo(f"{scans} scan{'' if scans == 1 else 's'}" + (f": {save}" if save else ""))

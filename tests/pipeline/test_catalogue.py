@@ -76,7 +76,7 @@ def test_speed_is_that_of_the_motion_over_a_turn() -> None:
     ]
     found = catalogue_of(pa.Table.from_pylist(rows, METRICS))
     assert found.column("speed").to_pylist() == pytest.approx([12.0, None, 12.0])
-    assert found.column("yaw_rate").to_pylist() == pytest.approx([0.5, None, -0.1])
+    assert found.column("yaw_rate").to_pylist() == pytest.approx([-0.5, None, 0.1])
     alone = catalogue_of(pa.Table.from_pylist(rows[:1], METRICS))
     assert alone.column("speed").to_pylist() == [None]  # nobody knows how long a turn is
 

@@ -1,0 +1,208 @@
+"""Look at scans: archives, logs and maps in the viewer of Rerun, with a time line, colours by what is known, and the path driven."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.pipeline.archive import Archive, Layers
+from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import read_at
+from salpcc.schemas.labels import CLASSES
+from salpcc.schemas.messages import COMPRESSED
+from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.sources.bag import Bag
+from salpcc.stages.residual_code.archive.format import frame_number
+
+F64 = NDArray[np.float64]
+Colours = NDArray[np.uint8]
+
+_MOST_SECONDS = 10**8  # of a clock that counts from the start of a log; larger ones count from 1970
+_HEAD = 256  # bytes in which an archive has the type of its first channel
+_MOST_TURNS = 5  # between scans, over which a motion is carried on
+_PATH = (230, 60, 60)
+_STATIC, _MOVABLE = (150, 155, 165), (240, 120, 30)
+# From dark to bright, evenly for the eye and for those who cannot tell red from green.
+_RAMP = np.array(
+    [(40, 30, 90), (50, 80, 150), (40, 130, 150), (60, 175, 125), (150, 205, 80), (245, 225, 70)], np.float64
+)
+
+
+@dataclass
+class Palette:
+    """Colours of points; what is darkest and brightest is settled by the first scan, so that none flickers."""
+
+    limits: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def of(self, scan: Scan) -> dict[str, Colours]:
+        """Return, by what they tell, the colours ``(N, 3)`` of a scan's points."""
+        found = {
+            "height": self._ramp("height", scan.points[:, 2]),
+            "intensity": self._ramp("intensity", scan.intensity),
+        }
+        if scan.classes is not None:
+            found["class"] = np.array([c.colour for c in CLASSES], np.uint8)[scan.classes]
+        if scan.movable is not None:
+            found["layer"] = np.array([_STATIC, _MOVABLE], np.uint8)[scan.movable.astype(np.intp)]
+        return found
+
+    def _ramp(self, name: str, values: NDArray[np.float32]) -> Colours:
+        if name not in self.limits:
+            finite = values[np.isfinite(values)]
+            low, high = np.percentile(finite, (2, 98)) if len(finite) else (0.0, 1.0)
+            self.limits[name] = float(low), max(float(high), float(low) + 1e-6)
+        low, high = self.limits[name]
+        place = np.clip(np.nan_to_num((values - low) / (high - low)), 0, 1) * (len(_RAMP) - 1)
+        steps = np.arange(len(_RAMP))
+        return np.column_stack([np.interp(place, steps, _RAMP[:, c]) for c in range(3)]).astype(np.uint8)
+
+
+def scans_of(path: Path, layers: Layers, frames: tuple[int, int] | None) -> Iterator[Scan]:
+    """Yield the scans of an archive, a log, or a map's folder, of some frames only where asked.
+
+    Raises:
+        ArchiveError, SourceError: it cannot be read.
+        UsageError: it is none of these, or none of its scans is of the frames.
+    """
+    if path.is_dir() and (path / "map.mcap").is_file():
+        path = path / "map.mcap"
+    if not path.exists():
+        raise UsageError(f"{path}: not found; name an archive, a log or the folder of a map")
+    first, last = frames or (0, 1 << 62)
+    shown = 0
+    if path.is_file() and COMPRESSED.encode() in read_at(path, 0, min(_HEAD, path.stat().st_size)):
+        archive = Archive.open(path, layers=layers)
+        for place, name in enumerate(archive.names):
+            if first <= frame_number(name, place) < last:
+                shown += 1
+                yield archive[place]
+    else:
+        names = Bag().sequences(path)
+        if len(names) != 1:
+            raise UsageError(f"{path}: no archive, log or folder of a map; of several logs name one")
+        for ref in Bag().scans(path, names[0]):
+            if first <= ref.number < last:
+                shown += 1
+                yield Bag().read(ref, with_labels=False)
+    if not shown:
+        raise UsageError(f"{path}: no scan lies in these frames")
+
+
+def step(motion: F64, turns: float) -> F64:
+    """Return the pose ``(4, 4)`` of a scan ``turns`` turns on, in the frame of the scan before, by its own ``(v, w)``.
+
+    The sensor turns against the azimuth by which ``(v, w)`` counts, hence the signs.
+    """
+    x, y, z = w = -turns * motion[3:]
+    angle = np.linalg.norm(w)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    pose = np.eye(4)
+    pose[:3, :3] += np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
+    pose[:3, 3] = -turns * motion[:3]
+    return pose
+
+
+class Drive:
+    """Where the sensor was at each scan, by the motions that scans carry; at rest, where they carry none.
+
+    Over a gap of many scans the motion says nothing: the drive goes on from where it was, and its path has a gap, too.
+    """
+
+    def __init__(self) -> None:
+        self.paths: list[list[F64]] = [[]]
+        self.scans = 0
+        self._pose: F64 = np.eye(4)
+        self._number: int | None = None
+
+    def at(self, scan: Scan) -> F64:
+        """Return the pose ``(4, 4)`` of a scan in the frame of the first one; scans come in their order."""
+        number = frame_number(scan.name, self.scans)
+        turns = 0 if self._number is None else number - self._number
+        if turns > _MOST_TURNS:
+            self.paths.append([])
+        elif scan.motion is not None:
+            self._pose = self._pose @ step(scan.motion, turns)
+        self._number = number
+        self.scans += 1
+        self.paths[-1].append(self._pose[:3, 3].copy())
+        return self._pose
+
+
+def view(
+    path: Path, layers: Layers = "all", frames: tuple[int, int] | None = None, save: Path | None = None
+) -> int:
+    """Show scans in a window of Rerun, or write them to ``save``, which it opens (FILE.rrd).
+
+    Returns:
+        the number of scans.
+
+    Raises:
+        UsageError, ArchiveError, SourceError: as in :func:`scans_of`.
+    """
+    import rerun as rr
+
+    scans = scans_of(path, layers, frames)
+    first = next(scans)
+    palette = Palette()
+    blueprint = _blueprint(list(palette.of(first)))
+    rr.init(f"salpcc {path.stem}", spawn=save is None, default_blueprint=blueprint)
+    if save is not None:
+        rr.save(save, default_blueprint=blueprint)
+    rr.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    drive = Drive()
+    _log(rr, first, drive, palette)
+    for scan in scans:
+        _log(rr, scan, drive, palette)
+    paths = [np.array(path) for path in drive.paths if len(path) > 1]
+    rr.log("path", rr.LineStrips3D(paths, colors=[_PATH] * len(paths), radii=0.08), static=True)
+    return drive.scans
+
+
+def view_in_browser(path: Path, layers: Layers = "all", frames: tuple[int, int] | None = None) -> None:
+    """Show scans in a browser until the process is interrupted; only this machine can reach them.
+
+    Raises:
+        UsageError, ArchiveError, SourceError: as in :func:`scans_of`.
+    """
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / f"{path.stem}.rrd"
+        view(path, layers, frames, file)
+        serve = ["-m", "rerun", str(file), "--web-viewer", "--bind", "127.0.0.1"]
+        subprocess.run([sys.executable, *serve], check=True)
+
+
+def _log(rr: Any, scan: Scan, drive: Drive, palette: Palette) -> None:
+    seconds = scan.time / 1e9
+    rr.set_time("scan", sequence=drive.scans)
+    if seconds > _MOST_SECONDS:
+        rr.set_time("time", timestamp=np.datetime64(scan.time, "ns"))
+    else:
+        rr.set_time("time", duration=seconds)
+    pose = drive.at(scan)
+    rr.log("sensor", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+    there = np.isfinite(scan.points).all(axis=1)
+    for name, colours in palette.of(scan).items():
+        rr.log(
+            f"sensor/{name}",
+            rr.Points3D(scan.points[there], colors=colours[there], radii=rr.Radius.ui_points(1.2)),
+        )
+    rr.log("name", rr.TextLog(f"{scan.name}: {len(scan):,} points"))
+
+
+def _blueprint(colourings: list[str]) -> Any:
+    """One tab a colouring, all of the same place."""
+    import rerun.blueprint as rrb
+
+    views = [
+        rrb.Spatial3DView(origin="/", name=name, contents=["/path", "/sensor", f"/sensor/{name}"])
+        for name in colourings
+    ]
+    return rrb.Blueprint(rrb.Tabs(*views), rrb.TimePanel(state="collapsed"), collapse_panels=True)
