@@ -208,6 +208,7 @@ def _sample(decoded: Scan, distance: NDArray[np.float64]) -> dict[str, Any]:
     """What the pictures of a decoded scan are drawn from."""
     return {
         "sample_points": decoded.points.ravel(),
+        "sample_intensity": decoded.intensity,
         "sample_error_m": distance.astype(np.float32),
         "sample_classes": decoded.classes,
     }

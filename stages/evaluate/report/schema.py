@@ -50,6 +50,7 @@ METRICS = pa.schema(
         ("class_confusion", pa.list_(pa.int64())),  # 21 x 21, truth by row, in the order of labels.CLASSES
         # A sample for the pictures, in the first scan of a sequence only.
         ("sample_points", pa.list_(pa.float32())),  # decoded x, y, z, flat
+        ("sample_intensity", pa.list_(pa.float32())),
         ("sample_error_m", pa.list_(pa.float32())),
         ("sample_classes", pa.list_(pa.uint8())),
         ("sample_source", pa.list_(pa.int16())),  # of the source in centimetres, where both classes are known

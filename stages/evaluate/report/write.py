@@ -21,6 +21,7 @@ from salpcc.stages.evaluate.report.layout.gallery import galleries
 from salpcc.stages.evaluate.report.layout.page import render_page
 from salpcc.stages.evaluate.report.layout.paper_tables import published_tables
 from salpcc.stages.evaluate.report.layout.report_tables import all_tables
+from salpcc.stages.evaluate.report.layout.scene import scene_of
 from salpcc.stages.evaluate.report.layout.tables import to_document
 from salpcc.stages.evaluate.report.record import recorded
 
@@ -41,6 +42,7 @@ def build(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
             pq.write_table(table.to_arrow(), stream)
     (folder / "tables.md").write_text(to_document(tables))
     drawn = pa.concat_tables([recorded(f, "pictures").replace_schema_metadata(None) for f in (out, *beside)])
-    page = render_page(report, galleries(recorded(out, "metrics"), drawn))
+    metrics = recorded(out, "metrics")
+    page = render_page(report, galleries(metrics, drawn), scene_of(metrics))
     (folder / "index.html").write_text(page, encoding="utf-8")
     return report

@@ -14,10 +14,11 @@ from salpcc.stages.evaluate.report.layout.paper_tables import published_tables
 from salpcc.stages.evaluate.report.layout.plots import all_plots
 from salpcc.stages.evaluate.report.layout.report_tables import all_tables
 from salpcc.stages.evaluate.report.layout.runs import all_runs
+from salpcc.stages.evaluate.report.layout.scene import Scene
 
 
-def render_page(report: Mapping[str, Any], galleries: Sequence[Gallery]) -> str:
-    """Fill ``page.html.j2`` with everything that the report has figures for."""
+def render_page(report: Mapping[str, Any], galleries: Sequence[Gallery], scene: Scene | None = None) -> str:
+    """Fill ``page.html.j2`` with everything that the report has figures for, and a scan to turn."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -35,6 +36,7 @@ def render_page(report: Mapping[str, Any], galleries: Sequence[Gallery]) -> str:
         plots=all_plots(report),
         sequence_plots=sequence_plots(report),
         galleries=galleries,
+        scene=scene,
     )
 
 
