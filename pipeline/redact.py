@@ -10,19 +10,22 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ArchiveError, UsageError
+from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.files import atomic
-from salpcc.schemas.labels import CLASSES, MOVABLE
+from salpcc.schemas.labels import CLASSES, MOVABLE, known_classes
+from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.schemas.version import TOOL
 from salpcc.stages.lattice.layers import alone, movable_mask, placed
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
+from salpcc.stages.mapping.poses import move, poses_of, read_poses
 from salpcc.stages.residual_code.archive.format import ScanEntry, ScanPayload, frame_number
 from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
@@ -39,15 +42,27 @@ _UNFIT = "labels/"  # side files that hold labels which belong to no point, so n
 
 @dataclass(frozen=True)
 class Selection:
-    """Which movable points go: all by default; of frames ``[first, last)`` only, of some classes only.
+    """Which movable points go: all by default; else those that meet all of what is given.
 
     A scan's frame number is its name where that is a number, else its place.
+
+    Attributes:
+        frames: of frames ``[first, last)``.
+        classes: of some classes, by the labels where no classes are stored.
+        box: within x0, y0, z0, x1, y1, z1, metres in the frame of the poses.
     """
 
     frames: tuple[int, int] | None = None
     classes: tuple[str, ...] = ()
+    box: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.box and not (
+            len(self.box) == 6 and all(a < b for a, b in zip(self.box, self.box[3:], strict=False))
+        ):
+            raise UsageError(
+                f"box {','.join(f'{v:g}' for v in self.box)}: six numbers x0,y0,z0,x1,y1,z1, the first three the lower ones"
+            )
         known = {c.name for c in CLASSES if c.group == MOVABLE}
         if unknown := sorted(set(self.classes) - known):
             raise UsageError(f"class {unknown[0]}: choose from {', '.join(sorted(known))}")
@@ -55,25 +70,48 @@ class Selection:
     @property
     def whole(self) -> bool:
         """Tell whether everything goes."""
-        return self.frames is None and not self.classes
+        return self.frames is None and not self.classes and not self.box
 
     def concerns(self, name: str, place: int) -> bool:
         """Tell whether points of a scan may go."""
         return self.frames is None or self.frames[0] <= frame_number(name, place) < self.frames[1]
 
-    def gone(self, classes: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
-        """Mark which movable points ``(M,)`` of a scan that it concerns go, by their classes."""
-        assert classes is not None
-        return np.isin(classes, [i for i, c in enumerate(CLASSES) if c.name in self.classes])
+    def gone(self, scan: Scan, pose: NDArray[np.float64] | None) -> NDArray[np.bool_]:
+        """Mark which points ``(M,)`` of the movable layer of a scan that it concerns go.
+
+        Args:
+            pose: of the scan, sensor to map ``(4, 4)``; with a box.
+        """
+        gone = np.ones(len(scan), np.bool_)
+        if self.classes:
+            classes = (
+                scan.classes
+                if scan.labels is None or scan.classes is not None
+                else known_classes(scan.labels)
+            )
+            assert classes is not None
+            gone &= np.isin(classes, [i for i, c in enumerate(CLASSES) if c.name in self.classes])
+        if self.box and pose is not None:
+            placed = move(scan.points, pose)
+            with np.errstate(invalid="ignore"):
+                outside = (placed < self.box[:3]) | (placed > self.box[3:])
+            gone &= ~outside.any(axis=1)  # of a point without a place nobody knows that it lies outside
+        return gone
 
 
-def redact(path: Path, out: Path, selection: Selection | None = None) -> dict[str, Any]:
+def redact(
+    path: Path, out: Path, selection: Selection | None = None, poses: Path | None = None
+) -> dict[str, Any]:
     """Write to ``out`` the archive ``path`` without what may move, and beside it the manifest ``OUT.json``; return that.
 
     The manifest has the SHA-256 of each chunk of coded scans as it was in ``path``.
 
+    Args:
+        poses: KITTI's, with the ``calib.txt`` beside them, for a box; None takes those that the archive holds.
+
     Raises:
-        UsageError: ``out`` exists; the archive has no movable layer, or no classes to choose by.
+        UsageError: ``out`` exists; the archive has no movable layer, or no classes or poses to choose by.
+        SourceError: the poses are not those of the scans.
         ArchiveError: the archive is damaged.
     """
     selection = selection or Selection()
@@ -83,14 +121,17 @@ def redact(path: Path, out: Path, selection: Selection | None = None) -> dict[st
     if reader.movable != "layered":
         what = "was dropped" if reader.movable == "dropped" else "is in one layer with the rest"
         raise UsageError(f"{path}: has no movable layer to take out; what may move {what}")
-    if selection.classes and not any(entry.classes for gop in reader.movable_gops for entry in gop):
-        raise UsageError(f"{path}: no classes are stored in it; it can be redacted as a whole or by --frames")
+    if selection.classes and not any(e.classes or e.labels for gop in reader.movable_gops for e in gop):
+        raise UsageError(
+            f"{path}: no classes are stored in it; it can be redacted as a whole, by --frames or by --box"
+        )
+    placed = _poses(reader, poses) if selection.box else None
     reader.check()
     # Without its inputs no run takes it for the archive that it would make.
     facts = replace(reader.facts, inputs="")
     log = PassingLog(reader.log.values(), reader.passing(), reader.enclosed()) if reader.log else None
     side = (reader.side_file(name) for name in reader.side if not name.startswith(_UNFIT))
-    write_archive(out, facts, _gops(reader, selection), log, side)
+    write_archive(out, facts, _gops(reader, selection, placed), log, side)
     manifest = {"version": VERSION, "tool": TOOL, "redacted": _told(selection)} | chunk_hashes(reader)
     with atomic(manifest_path(out)) as stream:
         stream.write(json.dumps(manifest, indent=1).encode() + b"\n")
@@ -145,10 +186,30 @@ def _told(selection: Selection) -> dict[str, Any]:
     return {
         "frames": list(selection.frames) if selection.frames else None,
         "classes": list(selection.classes),
-    }
+    } | ({"box": list(selection.box)} if selection.box else {})
 
 
-def _gops(reader: ArchiveReader, selection: Selection) -> Iterator[list[ScanPayload]]:
+def _poses(reader: ArchiveReader, given: Path | None) -> NDArray[np.float64]:
+    """The poses of the scans, sensor to map ``(n, 4, 4)``."""
+    names = [entry.name for gop in reader.gops for entry in gop]
+    if given is not None:
+        return poses_of(names, read_poses(given), given)
+    if not {"poses.txt", "calib.txt"} <= reader.side.keys():
+        raise UsageError(f"{reader.path}: it holds no poses.txt and calib.txt; name the poses with --poses")
+    with TemporaryDirectory() as folder:
+        for name in ("poses.txt", "calib.txt"):
+            (Path(folder) / name).write_bytes(reader.side_file(name).data)
+        path = Path(folder) / "poses.txt"
+        try:
+            return poses_of(names, read_poses(path), path)
+        except SourceError as error:
+            raise SourceError(f"{reader.path}: {str(error).replace(folder, 'side file ')}") from error
+
+
+_Poses = NDArray[np.float64] | None  # of all scans, or of those of a GOP
+
+
+def _gops(reader: ArchiveReader, selection: Selection, poses: _Poses) -> Iterator[list[ScanPayload]]:
     place = 0
     for gop in range(len(reader.gops)):
         payloads = reader.payloads(gop)
@@ -157,9 +218,10 @@ def _gops(reader: ArchiveReader, selection: Selection) -> Iterator[list[ScanPayl
             continue
         layers = reader.movable_payloads(gop)
         concerned = [selection.concerns(p.entry.name, place + at) for at, p in enumerate(payloads)]
+        here = None if poses is None else poses[place : place + len(payloads)]
         place += len(payloads)
         if any(concerned):
-            layers = _coded_anew(reader, payloads, layers, concerned, selection)
+            layers = _coded_anew(reader, payloads, layers, concerned, selection, here)
         yield [replace(p, movable=layer) for p, layer in zip(payloads, layers, strict=False)] + payloads[
             len(layers) :
         ]
@@ -171,15 +233,23 @@ def _coded_anew(
     layers: list[ScanPayload],
     concerned: list[bool],
     selection: Selection,
+    poses: _Poses,
 ) -> list[ScanPayload]:
-    """Code the movable layers of a GOP again without what goes of the scans that are concerned."""
+    """Code the movable layers of a GOP again without what goes of the scans that are concerned; as they are if nothing goes."""
     sensor = reader.facts.sensor
     state = GopState(sensor)
     pairs: list[tuple[Sweep, Sweep]] = []
     statics = decode_gop((payload.data for payload in payloads), sensor)
-    for layer, static, some in zip(layers, statics, concerned, strict=False):
+    left = 0
+    for at, (layer, static, some) in enumerate(zip(layers, statics, concerned, strict=False)):
         movable = labelled(decode_scan(layer.data, sensor, state, static), layer.labels, sensor)
-        pairs.append((static, _without(static, movable, sensor, selection) if some else movable))
+        if some:
+            pose = None if poses is None else poses[at]
+            movable = _without(static, movable, sensor, selection, pose)
+        pairs.append((static, movable))
+        left += len(movable)
+    if left == sum(layer.entry.kept for layer in layers):
+        return layers
     effort = str(reader.facts.config.get("effort", "default"))
     coded = []
     for layer, (_, movable), payload in zip(
@@ -194,13 +264,13 @@ def _coded_anew(
     return coded
 
 
-def _without(static: Sweep, movable: Sweep, sensor: SensorModel, selection: Selection) -> Sweep:
+def _without(static: Sweep, movable: Sweep, sensor: SensorModel, selection: Selection, pose: _Poses) -> Sweep:
     """Return a movable layer without what goes."""
     mask = movable_mask(static, movable, sensor)
     listed = alone(movable, mask)
-    gone = np.ones(len(listed), np.bool_)
-    if selection.classes:
-        gone = selection.gone(sweep_to_scan(listed, sensor).classes)
+    gone = selection.gone(sweep_to_scan(listed, sensor), pose)
+    if not gone.any():
+        return movable
     on, off = source_places(listed, sensor)
     left = mask.copy()
     left[np.flatnonzero(mask)[gone]] = False

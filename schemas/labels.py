@@ -77,6 +77,11 @@ def classes_of_labels(labels: NDArray[np.uint32]) -> NDArray[np.uint8]:
     return classes
 
 
+def known_classes(labels: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    """Map raw labels ``(N,)`` of any origin to class indices, 255 where the id is none of SemanticKITTI's."""
+    return np.asarray(_CLASS_OF_ID[labels & 0xFFFF])
+
+
 def labels_of_classes(classes: NDArray[np.uint8]) -> NDArray[np.uint32]:
     """Map class indices to raw SemanticKITTI labels; inverse of :func:`classes_of_labels`.
 

@@ -181,15 +181,36 @@ def redact(
     classes: Annotated[
         str | None, typer.Option(metavar="NAME,NAME", help="Of these classes only, where they are stored.")
     ] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X0,Y0,Z0,X1,Y1,Z1", help="Within this box only, metres in the frame of the poses."
+        ),
+    ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            parser=location, metavar="FILE", help="KITTI poses for --box. [default: those in the archive]"
+        ),
+    ] = None,
 ) -> None:
     """Take out what may move; the static layer stays byte for byte, which the manifest proves."""
     from salpcc.pipeline.redact import Selection, describe, manifest_path
     from salpcc.pipeline.redact import redact as redact_archive
     from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
-    chosen = Selection(parse_frames(frames), tuple(classes.split(",")) if classes else ())
-    manifest = redact_archive(archive, out, chosen)
+    chosen = Selection(
+        parse_frames(frames), tuple(classes.split(",")) if classes else (), _box(box) if box else ()
+    )
+    manifest = redact_archive(archive, out, chosen, poses)
     typer.echo(f"{describe(manifest, ArchiveReader(out))}\narchive: {out}\nmanifest: {manifest_path(out)}")
+
+
+def _box(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(number) for number in text.split(","))
+    except ValueError as error:
+        raise UsageError(f"--box {text}: expected six numbers x0,y0,z0,x1,y1,z1 in metres") from error
 
 
 def recover(

@@ -12,18 +12,24 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from salpcc.pipeline import Archive
+from salpcc.pipeline import Archive, encode_scans
 from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.cut import Selection, cut
 from salpcc.pipeline.merge import merge
 from salpcc.pipeline.recover import recover
+from salpcc.pipeline.redact import Selection as Choice
 from salpcc.pipeline.redact import redact
 from salpcc.pipeline.run import RunResult
 from salpcc.pipeline.tree import ArchiveTree
-from salpcc.schemas.errors import LogWarning, UsageError
+from salpcc.schemas.errors import LogWarning, SourceError, UsageError
+from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
+from salpcc.stages.residual_code.gop import decode_gop, encode_layers
+from salpcc.stages.residual_code.sensor.gop_state import GopState
+from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
+from salpcc.stages.segment.stage import without_classes
 
 LAYERED = {"keep_movable": False, "labels": "given", "effort": "fast"}
 
@@ -268,6 +274,82 @@ def test_recovery(whole: Path, tmp_path: Path) -> None:
     with Archive.open(tmp_path / "cut.mcap") as archive, Archive.open(whole) as before:
         assert all((left.labels == right.labels).all() for left, right in zip(archive, before, strict=False))
         assert len(archive) >= 2
+
+
+def test_redaction_by_a_box_in_the_map(whole: Path, root: Path, tmp_path: Path) -> None:
+    """Of what may move goes what lies in the box, at the poses that the archive holds; other chunks stay as they were."""
+    with Archive.open(whole) as archive:
+        scans = list(archive)
+    low, high = np.array([-2.0, -30.0, -5.0]), np.array([40.0, 1.0, 5.0])
+    box = ",".join(f"{v:g}" for v in (*low, *high))
+    code, said = command("redact", whole, "--out", tmp_path / "box.mcap", "--box", box)
+    assert code == 0 and "3 coded anew" in said, said
+    far = ",".join(f"{v:g}" for v in (*(low + 1000), *(high + 1000)))
+    code, said = command("redact", whole, "--out", tmp_path / "far.mcap", "--box", far)
+    assert code == 0 and "3 as they were, 0 coded anew" in said, said
+    # Frame 4 alone is a kilometre ahead (the camera's z is the sensor's x): only its chunk is concerned.
+    poses = [np.eye(3, 4) for _ in range(6)]
+    poses[4] = np.hstack([np.eye(3), [[1000.0], [0.0], [0.0]]])
+    (tmp_path / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n")
+    (tmp_path / "poses.txt").write_text("".join(" ".join(map(str, p.ravel())) + "\n" for p in poses))
+    ahead = ",".join(f"{v:g}" for v in (*(low + [1000, 0, 0]), *(high + [1000, 0, 0])))
+    code, said = command("redact", whole, "--out", tmp_path / "one.mcap", "--box", ahead, "--poses", tmp_path / "poses.txt")  # fmt: skip
+    assert code == 0 and "2 as they were, 1 coded anew" in said, said
+    for name, moved in (("box", range(5)), ("one", [4])):
+        assert (
+            command("verify", tmp_path / f"{name}.mcap", "--redacted-from", tmp_path / f"{name}.json")[0] == 0
+        )
+        with Archive.open(tmp_path / f"{name}.mcap") as left:
+            for at, (one, other) in enumerate(zip(left, scans, strict=True)):
+                inside = ((other.points >= low) & (other.points <= high)).all(axis=1) & (at in moved)
+                gone = inside & other.movable
+                assert gone.any() == (at in moved) and (other.movable & ~gone).any()
+                assert one.points.tobytes() == other.points[~gone].tobytes()
+                assert (one.labels == other.labels[~gone]).all() and (
+                    one.movable == other.movable[~gone]
+                ).all()
+    for wrong, told in (("1,2,3", "six numbers"), ("1,1,1,0,2,2", "lower ones"), ("a,b", "six numbers")):
+        result = CliRunner().invoke(
+            app, ["redact", str(whole), "--out", str(tmp_path / "x.mcap"), "--box", wrong]
+        )
+        assert isinstance(result.exception, UsageError) and told in str(result.exception)
+    bare = ArchiveReader(whole)
+    pairs = [[replace(p, movable=m) for p, m in zip(bare.payloads(g), bare.movable_payloads(g), strict=True)] for g in range(3)]  # fmt: skip
+    write_archive(tmp_path / "bare.mcap", bare.facts, pairs)
+    with pytest.raises(UsageError, match="--poses"):
+        redact(tmp_path / "bare.mcap", tmp_path / "x.mcap", Choice(box=(0, 0, 0, 1, 1, 1)))
+    write_archive(tmp_path / "short.mcap", bare.facts, pairs, side=[
+        SideFile("calib.txt", b"Tr: 1 0 0 0 0 1 0 0 0 0 1 0"), SideFile("poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0")])  # fmt: skip
+    with pytest.raises(SourceError, match=r"side file /poses\.txt: 1 poses, none for scan 000001"):
+        redact(tmp_path / "short.mcap", tmp_path / "x.mcap", Choice(box=(0, 0, 0, 1, 1, 1)))
+
+
+def test_redaction_by_the_classes_of_labels(whole: Path, tmp_path: Path, root: Path) -> None:
+    """Where no classes are stored, labels tell them."""
+    source = SOURCES["semantickitti"]
+    scans = [
+        replace(source.read(ref, True), labels=np.fromfile(ref.labels or "", np.uint32))
+        for ref in source.scans(root, "00")[:2]
+    ]
+    path = encode_scans(scans, tmp_path / "a.mcap", labels="given", keep_movable=False, effort="fast")
+    reader = ArchiveReader(path)
+    sensor, bare = reader.facts.sensor, [[]]
+    statics = list(decode_gop((p.data for p in reader.payloads(0)), sensor))
+    state = GopState(sensor)
+    moving = [
+        decode_scan(p.data, sensor, state, s)
+        for p, s in zip(reader.movable_payloads(0), statics, strict=True)
+    ]
+    coded = encode_layers([(without_classes(s), without_classes(m)) for s, m in zip(statics, moving, strict=True)], sensor, "fast")  # fmt: skip
+    for old, layer, (new, other) in zip(reader.payloads(0), reader.movable_payloads(0), coded, strict=True):
+        movable = replace(layer, data=other.data, entry=layer.entry.of_sizes(other.sizes))
+        bare[0].append(replace(old, data=new.data, entry=old.entry.of_sizes(new.sizes), movable=movable))
+    write_archive(tmp_path / "b.mcap", reader.facts, bare)
+    redact(tmp_path / "b.mcap", tmp_path / "c.mcap", Choice(classes=("car",)))
+    with Archive.open(tmp_path / "c.mcap") as archive:
+        for back, scan in zip(archive, scans, strict=True):
+            assert back.classes is None
+            assert (back.labels == scan.labels[~np.isin(scan.labels & 0xFFFF, [10, 252])]).all()
 
 
 def test_parts_have_their_labels_and_all_side_files(whole: Path, tmp_path: Path) -> None:
