@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
 
 SENSOR = load_sensor("hdl64e")
@@ -39,10 +41,28 @@ def _archives(folder: Path) -> list[bytes]:
     log = PassingLog([channel], iter([LogMessage(1, 5, 5, 0, b"{}")]), enclosed)
     gops = [reader.payloads(gop) for gop in range(len(reader.gops))]
     write_archive(folder / "b.mcap", reader.facts, gops, log)
-    return [(folder / name).read_bytes() for name in ("a.mcap", "b.mcap")]
+    classes = [np.where(np.arange(len(s)) // 40 % 3 == 0, 1, 13).astype(np.uint8) for s in scans]
+    labels = [np.where(c == 1, 10 | 5 << 16, 50).astype(np.uint32) for c in classes]
+    both = [replace(s, classes=c, labels=n) for s, c, n in zip(scans, classes, labels, strict=True)]
+    encode_scans(both, folder / "c.mcap", gop=2, effort="fast", labels="given", keep_movable=False)
+    reader = ArchiveReader(folder / "c.mcap")
+    gops = [
+        [
+            replace(one, movable=two)
+            for one, two in zip(reader.payloads(g), reader.movable_payloads(g), strict=True)
+        ]
+        for g in range(len(reader.gops))
+    ]
+    write_archive(folder / "d.mcap", reader.facts, gops, side=SIDE)
+    with Archive.open(folder / "d.mcap", layers="static") as archive:
+        _wanted.update(scan.points.tobytes() for scan in archive)
+    _labels.update(label.tobytes() for label in labels)
+    return [(folder / name).read_bytes() for name in ("a.mcap", "b.mcap", "d.mcap")]
 
 
+SIDE = [SideFile("poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n" * 9), SideFile("a/b.txt", b"b")]
 _wanted = {s.points.tobytes() for s in _scans()}
+_labels: set[bytes] = set()
 
 
 def _read_archive(_: int, data: bytes, folder: Path) -> None:
@@ -63,6 +83,14 @@ def _read_archive(_: int, data: bytes, folder: Path) -> None:
                 raise Wrong(f"the name {scan.name!r}")
             if not whole and scan.points.tobytes() not in _wanted:
                 raise Wrong("a damaged archive decoded to another scan")
+            if not whole and scan.labels is not None and scan.labels.tobytes() not in _labels:
+                raise Wrong("a damaged archive decoded to other labels")
+        for name in archive.side:
+            content = archive.side_file(name)
+            if name.startswith("/") or ".." in name.split("/"):
+                raise Wrong(f"the name {name!r} of a side file")
+            if not whole and SideFile(name, content) not in SIDE:
+                raise Wrong("a damaged archive gave another side file")
 
 
 def _recover_archive(_: int, data: bytes, folder: Path) -> None:
@@ -71,10 +99,14 @@ def _recover_archive(_: int, data: bytes, folder: Path) -> None:
     path.write_bytes(data)
     new.unlink(missing_ok=True)
     found = recover(path, new)
-    with Archive.open(new) as archive:
-        if len(archive) != found.scans or {s.points.tobytes() for s in archive} - _wanted:
-            raise Wrong("another scan was recovered")
-    ArchiveReader(new).check()
+    reader = ArchiveReader(new)
+    reader.check()
+    if {SideFile(name, reader.side_file(name).data) for name in reader.side} - set(SIDE):
+        raise Wrong("another side file was recovered")
+    for layers in ("static", "all") if reader.movable == "layered" else ("all",):
+        with Archive.open(new, layers=layers) as archive:  # type: ignore[arg-type]
+            if len(archive) != found.scans or {s.points.tobytes() for s in archive} - _wanted:
+                raise Wrong("another scan was recovered")
 
 
 _TABLES = [

@@ -11,21 +11,26 @@ from target import Target, Wrong
 
 from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.scan import Scan
+from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
 from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.layers import movable_mask
 from salpcc.stages.lattice.list_motion import places, redo
 from salpcc.stages.lattice.order import azimuth_keys
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.paper.frames import predict_gop
-from salpcc.stages.residual_code.gop import decode_any, encode_gop
+from salpcc.stages.residual_code.gop import decode_any, decode_gop, encode_gop, encode_layers
+from salpcc.stages.residual_code.label_coder import decode_labels, encode_labels
 from salpcc.stages.residual_code.paper import grid_header
 from salpcc.stages.residual_code.paper.grid_coder import encode_grid
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.paper.grid_streams import GridState
 from salpcc.stages.residual_code.sensor import header
-from salpcc.stages.segment.task import quantise
+from salpcc.stages.residual_code.sensor.gop_state import GopState
+from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
+from salpcc.stages.segment.task import quantise, split
 
 SENSOR = load_sensor("hdl64e")
 _crcs: dict[Path, list[int]] = {}
@@ -100,8 +105,59 @@ def _read(which: int, data: bytes, folder: Path) -> None:
             raise Wrong("a payload decoded to another scan")
 
 
+_statics: dict[Path, list[Sweep]] = {}
+
+
+def _labelled() -> Sweep:
+    """A room of which a third may move, with labels in runs and some of their own."""
+    sweep = scan_to_sweep(small_scan(SENSOR, np.random.default_rng(0)), SENSOR)
+    rng = np.random.default_rng(1)
+    runs = np.repeat(rng.choice(np.array([10, 40, 50 | 3 << 16], np.uint32), len(sweep)), 30)[: len(sweep)]
+    runs[::700] = rng.integers(0, 2**32, len(runs[::700]), np.uint32)
+    on, off = np.split(runs, [len(sweep.laser)])
+    return replace(sweep, labels=on, stray_labels=off)
+
+
+def _parts(bounds: tuple[float | None, float | None]) -> tuple[Sweep, Sweep]:
+    sweep = _labelled()
+    assert sweep.labels is not None and sweep.stray_labels is not None
+    return split(sweep, SENSOR, sweep.labels == 10, sweep.stray_labels == 10, bounds)
+
+
+def _movable_layers(folder: Path) -> list[bytes]:
+    pairs = [
+        (_parts(bounds), effort) for bounds in ((None, None), (0.02, 0.005)) for effort in header.EFFORTS
+    ]
+    _crcs[folder] = [header.content_crc(movable) for (_, movable), _ in pairs]
+    coded = [encode_layers([pair], SENSOR, effort)[0] for pair, effort in pairs]
+    _statics[folder] = [next(decode_gop([static.data], SENSOR)) for static, _ in coded]
+    return [movable.data for _, movable in coded]
+
+
+def _read_movable(which: int, data: bytes, folder: Path) -> None:
+    static = _statics[folder][which]
+    back = decode_scan(data, SENSOR, GopState(SENSOR), static)
+    movable_mask(static, back, SENSOR)
+    if header.content_crc(back) != _crcs[folder][which]:
+        raise Wrong("a movable layer decoded to another one")
+
+
+def _labels(folder: Path) -> list[bytes]:
+    _statics[folder] = [_labelled(), *_parts((None, None)), *_parts((0.02, 0.02))]
+    return [encode_labels(sweep, SENSOR) for sweep in _statics[folder]]
+
+
+def _read_labels(which: int, data: bytes, folder: Path) -> None:
+    sweep = _statics[folder][which]
+    on, off = decode_labels(data, sweep, SENSOR)
+    if not (np.array_equal(on, sweep.labels) and np.array_equal(off, sweep.stray_labels)):
+        raise Wrong("labels decoded to others")
+
+
 TARGETS = {
     "payload": Target(_sensor_profile, _read, 0.4, mutate_payload),
     "payload of another sensor": Target(_aimed, _read_aimed, 0.1, mutate_payload),
+    "payload of a movable layer": Target(_movable_layers, _read_movable, 0.1, mutate_payload),
+    "labels": Target(_labels, _read_labels, 0.1, mutate_payload),
     "payload of the paper profile": Target(_paper_profile, _read, 0.04, mutate_payload),
 }
