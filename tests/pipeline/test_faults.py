@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import dask
 import psutil
@@ -26,14 +27,15 @@ from salpcc.pipeline.run import RunResult
 Run = Callable[..., RunResult]
 KILLS = int(os.environ.get("SALPCC_KILLS", "3"))
 COMMAND = [sys.executable, "-m", "salpcc.pipeline.cli", "run", "sequences", "00,01", "--workers", "2"]
-COMMAND += ["--keep-movable", "--effort", "fast", "--gop", "1"]
+COMMAND += ["--labels", "given", "--effort", "fast", "--gop", "1"]  # two layers, labels, side files
+OPTIONS: dict[str, Any] = {"labels": "given", "keep_movable": False, "effort": "fast", "gop": 1}
 
 
 @pytest.fixture(scope="module")
 def whole(toy_root: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> dict[str, bytes]:
     """The archives of an undisturbed run."""
     out = tmp_path_factory.mktemp("whole")
-    assert not run(toy_root, out, "00", "01", effort="fast", gop=1).failed
+    assert not run(toy_root, out, "00", "01", **OPTIONS).failed
     return archives(out)
 
 
@@ -42,7 +44,7 @@ def again(toy_root: Path, run: Run) -> Callable[[Path], dict[str, bytes]]:
     """The same run once more, undisturbed, in this process: its archives."""
 
     def go(out: Path) -> dict[str, bytes]:
-        assert not run(toy_root, out, "00", "01", effort="fast", gop=1).failed
+        assert not run(toy_root, out, "00", "01", **OPTIONS).failed
         assert not list(out.rglob("*.part"))
         return archives(out)
 
@@ -208,12 +210,12 @@ def test_a_scan_that_cannot_be_read_costs_itself(
     content = scan.read_bytes()
     scan.unlink()
     scan.mkdir()  # opens, but reading it is an error
-    result = run(root, tmp_path / "out", "00", effort="fast", gop=1)
+    result = run(root, tmp_path / "out", "00", **OPTIONS)
     assert [(e.scan, e.stage) for e in result.errors] == [("000001", "ingest")]
     assert result.report is not None and result.report["sequences"]["00"]["bit_exact_scans"] == 4
     scan.rmdir()
     scan.write_bytes(content)
-    assert not run(root, tmp_path / "out", "00", effort="fast", gop=1).failed
+    assert not run(root, tmp_path / "out", "00", **OPTIONS).failed
     assert archives(tmp_path / "out")["00.mcap"] == whole["00.mcap"]
 
 
