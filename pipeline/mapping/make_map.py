@@ -28,7 +28,7 @@ from salpcc.schemas.work import digest_of
 from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
-VERSION = 3  # 2: LAZ of one unit of intensity; 3: de-skewed, poses refined
+VERSION = 4  # 2: LAZ of one unit of intensity; 3: de-skewed, poses refined; 4: carving weighs what was met
 NO_CLASSES = "no classes in it, so nothing tells what is movable; encode it without --keep-movable, or with --labels given"
 
 

@@ -26,7 +26,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef, ShardRef, digest_of
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.velodyne_bin import read_points
-from salpcc.stages.mapping.build import CARVED, DROPPED
+from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT
 from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.gather import in_range, still
@@ -43,7 +43,7 @@ CLEANERS = {
     "none": 0,
     "ours, carving only": CARVED,
     CLASSES_ONLY: DROPPED,
-    "ours": CARVED | DROPPED,
+    "ours": CARVED | DROPPED | OBJECT,
 }
 
 

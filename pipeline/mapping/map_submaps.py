@@ -28,7 +28,7 @@ from salpcc.stages.mapping.tiles import Box, blocks_of
 
 F64 = NDArray[np.float64]
 
-VERSION = 2  # 2: de-skewed
+VERSION = 3  # 2: de-skewed; 3: views know where returns are missing
 
 
 @dataclass(frozen=True)

@@ -24,14 +24,14 @@ from salpcc.pipeline.mapping.map_store import (
 from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.work import ShardRef, digest_of
-from salpcc.stages.mapping.build import CARVED, DROPPED, build
+from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT, build
 from salpcc.stages.mapping.carve import REACH
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.tiles import Tile
 from salpcc.stages.mapping.view import View
 from salpcc.stages.mapping.voxel import Voxels
 
-VERSION = 4
+VERSION = 5  # 5: carving weighs what was met; objects go together
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def build_tile(
             "corner": corner.tolist(),
             "kept": int(np.count_nonzero(against == 0)),
             "carved": int(np.count_nonzero(against & CARVED)),
-            "dropped": int(np.count_nonzero(against & DROPPED)),
+            "dropped": int(np.count_nonzero(against & (DROPPED | OBJECT))),
             "carved_or_dropped": int(np.count_nonzero(against)),
             "filled": int(np.count_nonzero(voxels.count == 0)),
             "points": int(voxels.count[against == 0].sum()),

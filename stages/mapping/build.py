@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from salpcc.stages.mapping.carve import contradicted
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.fill import fill_ground
+from salpcc.stages.mapping.objects import rest_of_objects
 from salpcc.stages.mapping.view import View
 from salpcc.stages.mapping.voxel import Voxels, fuse
 
 # What speaks against an entry, as bits; one without any is in the map.
-CARVED, DROPPED = 1, 2  # seen through; of a movable class
+CARVED, DROPPED, OBJECT = 1, 2, 4  # seen through; of a movable class; among what is
 
 
 def build(voxels: Voxels, views: list[View], config: MapConfig) -> tuple[Voxels, NDArray[np.uint8]]:
@@ -26,6 +27,7 @@ def build(voxels: Voxels, views: list[View], config: MapConfig) -> tuple[Voxels,
         against[contradicted(fused, views)] |= CARVED
     if not config.keep_movable:
         against[fused.movable] |= DROPPED
+        against[rest_of_objects(fused)] |= OBJECT
     if not config.fill:
         return fused, against
     filled = fill_ground(fused[against == 0])

@@ -1,7 +1,8 @@
 """Carve: find what several scans contradict, having seen through the place where it is said to be.
 
-A voxel that few scans met and several looked through held something that moved. What was met as often as it
-was looked through stays: leaves, fences, edges. Ground is never carved: it is grazed, not looked through.
+A voxel that few scans met and several looked through held something that moved. What was met as often as it was looked
+through stays: leaves, fences, racks, edges. It counts as met also where a view ends there, to within the error of range and
+pose. Ground is grazed, not looked through, and is never carved; what is called ground but stands above it is no ground.
 """
 
 from __future__ import annotations
@@ -17,9 +18,12 @@ from salpcc.stages.mapping.voxel import Voxels
 F64 = NDArray[np.float64]
 
 REACH = 40.0  # metres; beyond, the beams are too far apart to see through a place
-_FEWEST = 2  # views that must contradict
-_SHARE = 0.5  # and how many per scan that met the voxel
+_FEWEST = 2  # views that must contradict,
+_SHARE = 0.5  # how many per scan that met the voxel,
+_PER_MEETING = 2.0  # and how many per view that ended there
 _MARGIN, _MARGIN_PER_METRE = 0.3, 0.01  # metres by which a view must have seen beyond
+_CELL = 0.5  # metres, of the columns in which ground is sought
+_STEP = 0.2  # metres above the lowest ground of a column, beyond which nothing is ground
 
 _IS_GROUND = np.zeros(256, np.bool_)
 _IS_GROUND[: len(GROUP_OF_CLASS)] = GROUP_OF_CLASS == GROUND
@@ -27,29 +31,41 @@ _IS_GROUND[: len(GROUP_OF_CLASS)] = GROUP_OF_CLASS == GROUND
 
 def contradicted(voxels: Voxels, views: list[View]) -> NDArray[np.bool_]:
     """Mark the entries ``(M,)`` that enough views looked through. Places are in the frame of the views' poses."""
-    if not views or not len(voxels):
-        return np.zeros(len(voxels), np.bool_)
-    poses = np.array([view.pose for view in views])
-    needed = np.maximum(_FEWEST, np.ceil(_SHARE * voxels.scans)).astype(np.int64)
-    needed[_IS_GROUND[voxels.classes]] = len(views) + 1
-    return np.asarray(
-        _seen_through(
-            voxels.xyz, needed, poses, np.array([v.shift for v in views]), np.array([v.clear for v in views])
-        )
-    )
+    through, met = evidence(voxels.xyz, views)
+    needed = np.maximum(_FEWEST, np.ceil(_SHARE * voxels.scans))
+    return np.asarray((through >= needed) & (through >= _PER_MEETING * met) & ~lies_on_ground(voxels))
+
+
+def evidence(xyz: F64, views: list[View]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Count the views that looked through each place ``(M, 3)``, and those that ended there ``(M,)``."""
+    if not views or not len(xyz):
+        return np.zeros(len(xyz), np.int32), np.zeros(len(xyz), np.int32)
+    poses, shifts = np.array([v.pose for v in views]), np.array([v.shift for v in views])
+    through, met = _count(xyz, poses, shifts, np.array([v.clear for v in views]))
+    return through, met
+
+
+def lies_on_ground(voxels: Voxels) -> NDArray[np.bool_]:
+    """Mark the entries ``(M,)`` of the ground's classes that are not higher than a step above the ground of their column."""
+    ground = _IS_GROUND[voxels.classes]
+    if not ground.any():
+        return ground
+    at = np.floor(voxels.xyz[ground, :2] / _CELL).astype(np.int64)
+    _, column = np.unique(at, axis=0, return_inverse=True)
+    column = column.ravel()
+    lowest = np.full(column.max() + 1, np.inf)
+    np.minimum.at(lowest, column, voxels.xyz[ground, 2])
+    ground[ground] = voxels.xyz[ground, 2] < lowest[column] + _STEP
+    return ground
 
 
 @njit(cache=True)
-def _seen_through(
-    xyz: F64, needed: NDArray[np.int64], poses: F64, shifts: F64, clear: NDArray[np.uint16]
-) -> NDArray[np.bool_]:
-    n_views = len(poses)
-    out = np.zeros(len(xyz), np.bool_)
+def _count(
+    xyz: F64, poses: F64, shifts: F64, clear: NDArray[np.uint16]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    through, met = np.zeros(len(xyz), np.int32), np.zeros(len(xyz), np.int32)
     for i in range(len(xyz)):
-        missing = needed[i]
-        for k in range(n_views):
-            if missing == 0 or missing > n_views - k:
-                break
+        for k in range(len(poses)):
             dx, dy, dz = xyz[i, 0] - poses[k, 0, 3], xyz[i, 1] - poses[k, 1, 3], xyz[i, 2] - poses[k, 2, 3]
             if dx * dx + dy * dy + dz * dz > REACH * REACH:
                 continue
@@ -59,7 +75,8 @@ def _seen_through(
             row, column, reach = pixel_of(x, y, z, shifts[k])
             if row < 0 or row >= ROWS:
                 continue
-            if 0.01 * clear[k, row, column] > reach + _MARGIN + _MARGIN_PER_METRE * reach:
-                missing -= 1
-        out[i] = missing == 0
-    return out
+            margin = _MARGIN + _MARGIN_PER_METRE * reach
+            beyond = 0.01 * clear[k, row, column] - reach
+            through[i] += beyond > margin
+            met[i] += -margin < beyond <= margin
+    return through, met

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from salpcc.stages.mapping.build import CARVED, DROPPED
+from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT
 from salpcc.stages.mapping.voxel import SYNTHETIC, Voxels
 
 F64 = NDArray[np.float64]
@@ -59,7 +59,7 @@ def pictures(voxels: Voxels, against: NDArray[np.uint8], place: Place) -> dict[s
     colour[voxels.classes == SYNTHETIC] = _BLUE
     marked = colour.copy()
     marked[against & CARVED != 0] = _ORANGE
-    marked[against & DROPPED != 0] = _RED
+    marked[against & (DROPPED | OBJECT) != 0] = _RED
     measured, kept = voxels.count > 0, against == 0
     out = {}
     for name, draw in (("above", _above), ("perspective", _perspective)):

@@ -2,7 +2,8 @@
 
 A view is a panorama of ranges, 0.5 degree high and 0.35 degree wide a pixel, made from the points alone, so it
 serves any spinning sensor. A pixel holds the shortest range in the nine pixels around it: whatever was nearer
-than that, the scan would have seen.
+than that, the scan would have seen. Where a return is missing between others, it may have been swallowed, or dropped
+with what can move, and nothing is known.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ F64 = NDArray[np.float64]
 ROWS, COLUMNS = 128, 1024
 TOP = math.radians(32.0)  # elevation of the upper edge
 PITCH = math.radians(0.5)  # rows
-_FEWEST = 3  # pixels of nine that must have a return, or nothing is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +73,16 @@ def _render(points: NDArray[np.float32], shift: F64) -> NDArray[np.uint16]:
     clear = np.zeros((ROWS, COLUMNS), np.uint16)
     for row in range(ROWS):
         for column in range(COLUMNS):
-            least, seen = 65535, 0
+            least, whole, broken = 65535, 0, 0
             for r in range(max(0, row - 1), min(ROWS, row + 2)):
+                seen = 0
                 for c in range(column - 1, column + 2):
                     value = np.int64(nearest[r, c % COLUMNS])
                     if value > 0:
                         seen += 1
                         least = min(least, value)
-            if seen >= _FEWEST:
+                whole += seen == 3
+                broken += 0 < seen < 3
+            if whole and not broken:
                 clear[row, column] = least
     return clear

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from salpcc.stages.mapping.carve import contradicted
+from salpcc.stages.mapping.carve import contradicted, evidence
 from salpcc.stages.mapping.view import COLUMNS, ROWS, view_of
 from salpcc.stages.mapping.voxel import Voxels, fuse, fuse_scan
 
@@ -62,6 +64,35 @@ def test_what_most_scans_met_stays() -> None:
     assert often.any() and not contradicted(voxels, views)[often].any()
 
 
+def test_what_views_also_end_at_stays() -> None:
+    """A rack that half of the views look through, and half end at, though few of the scans had a return in a voxel."""
+    voxels, views = drive([[(5.0, -6.0)], [(5.0, -6.0)], [(5.0, -6.0)], [], [], []], step=0.0)
+    by = np.linalg.norm(voxels.xyz[:, :2] - [5.0, -6.0], axis=1) < 1.0
+    through, met = evidence(voxels.xyz[by], views)
+    assert (through >= 3).mean() > 0.8 and (met >= 2).mean() > 0.8
+    gone = contradicted(replace(voxels, scans=np.ones_like(voxels.scans)), views)
+    assert gone[by].mean() < 0.05
+
+
+def test_what_is_called_ground_but_stands_above_it_is_carved() -> None:
+    voxels, views = drive([[(5.0, -6.0)], [], [], [], []])
+    by = np.linalg.norm(voxels.xyz[:, :2] - [5.0, -6.0], axis=1) < 1.0
+    classes = voxels.classes.copy()
+    classes[by] = ROAD
+    gone = contradicted(replace(voxels, classes=classes), views)
+    low = by & (voxels.xyz[:, 2] < voxels.xyz[by, 2].min() + 0.1)
+    assert not gone[low].any() and gone[by & ~low & (voxels.xyz[:, 2] > 0)].mean() > 0.8
+
+
+def test_nothing_is_known_where_returns_are_missing() -> None:
+    """What was dropped of a scan was not looked through, though its neighbours were."""
+    points = seen(0.0, [])
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    whole, holed = (view_of(p, None, np.eye(4)) for p in (points, points[np.abs(azimuth) > 0.5]))
+    ahead = slice(COLUMNS // 2 - 2, COLUMNS // 2 + 2)
+    assert whole.clear[ROWS // 2, ahead].all() and not holed.clear[ROWS // 2, ahead].any()
+
+
 def test_view_takes_the_nearest_around_and_knows_where_it_knows_nothing() -> None:
     view = view_of(seen(0.0, [(5.0, 0.0)]), None, np.eye(4))
     middle = view.clear[ROWS // 2, COLUMNS // 2]
@@ -73,7 +104,8 @@ def test_view_takes_the_nearest_around_and_knows_where_it_knows_nothing() -> Non
 def test_view_follows_the_sensor_during_the_turn() -> None:
     # A post beside a sensor that moves 2 m a turn: at a quarter turn it stood half a metre on.
     motion = np.array([-2.0, 0, 0, 0, 0, 0])
-    points = np.array([[0.0, 5.0, z] for z in np.linspace(-0.3, 0.3, 200)], np.float32)
+    across, up = np.linspace(-0.1, 0.1, 40), np.linspace(-0.3, 0.3, 200)
+    points = np.array([[x, 5.0, z] for x in across for z in up], np.float32)
     still, moving = view_of(points, None, np.eye(4)), view_of(points, motion, np.eye(4))
     assert np.flatnonzero(still.clear.any(axis=0)).mean() == pytest.approx(0.75 * COLUMNS, abs=1)
     turned = np.flatnonzero(moving.clear.any(axis=0)).mean() - 0.75 * COLUMNS
