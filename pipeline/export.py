@@ -28,7 +28,8 @@ class Export(Protocol):
 def to_ply(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_silence) -> Iterator[Path]:
     """Write ``out/SEQ/NAME.ply`` (binary): every field under its own name and with its type.
 
-    The class of each point comes beside them as ``class``, or as ``class_1`` where a field has that name.
+    The class of each point comes beside them as ``class``, or as ``class_1`` where a field has that name; its label, class
+    and instance as annotated, as ``label``.
 
     Raises:
         UsageError: the extra ``map`` is missing.
@@ -39,6 +40,8 @@ def to_ply(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
         columns = scan_columns(scan)
         if scan.classes is not None:
             columns[free_name("class", set(columns)) if "class" in columns else "class"] = scan.classes
+        if scan.labels is not None:
+            columns[free_name("label", set(columns)) if "label" in columns else "label"] = scan.labels
         write_ply(columns, path)
         yield path
 

@@ -89,6 +89,8 @@ def _file(archive: Archive, scan: Scan, factor: int, system: Any) -> _File:
     from laspy.header import GpsTimeType
 
     columns = scan_columns(scan)
+    if scan.labels is not None:
+        columns[free_name("label", set(columns)) if "label" in columns else "label"] = scan.labels
     xyz = np.column_stack([columns.pop(axis).astype(np.float64) for axis in "xyz"])
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.creation_date = date(1970, 1, 1) + timedelta(

@@ -121,10 +121,16 @@ def _work(
 
         table, times = _timed(stage, run) if scans else (STAGES[stage].schema.empty_table(), (0.0, 0.0))
         errors += [vars(_error(stage, gop, name, error)) for name, error in guilty.items()]
+    apart = facts_of(table.schema).get("apart", {}) if table.schema.metadata else {}
+    spent = sum(apart.values())
     peak = peak_mb()
     return table, {
         "errors": errors,
-        "times": [*facts["times"], [stage, scans, *times]],
+        "times": [
+            *facts["times"],
+            [stage, scans, *(max(ms - spent, 0.0) for ms in times)],
+            *([name, scans, ms, ms] for name, ms in apart.items()),
+        ],
         "peak_mb": max(facts["peak_mb"], peak),
     }
 

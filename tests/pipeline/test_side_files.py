@@ -8,8 +8,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
+from plyfile import PlyData
 from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, encode_scans
@@ -385,6 +387,15 @@ def test_the_archive_as_a_folder_is_the_folder(whole: Path, root: Path) -> None:
     for name, path in there.items():
         assert tree.files[name].read() == path.read_bytes()
         assert tree.files[name].size == path.stat().st_size
+
+
+def test_ply_and_laz_have_the_labels(whole: Path, root: Path, tmp_path: Path) -> None:
+    labels = np.fromfile(root / "sequences/00/labels/000001.label", np.uint32)
+    for kind in ("ply", "laz"):
+        code, said = command("decode", whole, "--to", kind, "--frames", "1:2", "--out", tmp_path)
+        assert code == 0, said
+    assert (PlyData.read(tmp_path / "00" / "000001.ply")["vertex"]["label"] == labels).all()
+    assert (laspy.read(tmp_path / "00" / "000001.laz")["label"] == labels).all()
 
 
 def test_raw_drives_keep_their_time_stamps_and_oxts(
