@@ -7,7 +7,7 @@ not to move (99), what lies out of view, on a box's rim or where nobody cared to
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -57,18 +57,15 @@ def list_boxed(root: Path) -> list[ScanRef]:
     """List the scans of ``ROOT/training`` that have boxes; none where there is no such folder."""
     base = root / "training"
     refs = []
-    if (base / "label_2").is_dir():
-        for ref in list_scans(base / "velodyne", None, base / "none", base / "none"):
-            refs.append(_boxed(ref, base / "label_2" / f"{ref.name}.txt"))
-    if (base / "label_02").is_dir():
-        for drive in sorted(p for p in (base / "velodyne").iterdir() if p.is_dir()):
-            for ref in list_scans(drive, None, base / "none", base / "none"):
-                refs.append(_boxed(ref, base / "label_02" / f"{drive.name}.txt"))
+    for labels, folders in (
+        ("label_2", [base / "velodyne"]),
+        ("label_02", sorted((base / "velodyne").glob("*/"))),
+    ):
+        for folder in folders if (base / labels).is_dir() else []:
+            for ref in list_scans(folder, None, folder, None):
+                name = ref.name if labels == "label_2" else folder.name
+                refs.append(replace(ref, labels=str(base / labels / f"{name}.txt")))
     return [ref for ref in refs if Path(ref.labels or "").is_file()]
-
-
-def _boxed(ref: ScanRef, labels: Path) -> ScanRef:
-    return ScanRef(ref.name, ref.number, ref.path, ref.time, str(labels))
 
 
 def labels_of_boxes(ref: ScanRef, points: NDArray[np.float32]) -> NDArray[np.uint32]:
@@ -98,7 +95,7 @@ def labels_of_boxes(ref: ScanRef, points: NDArray[np.float32]) -> NDArray[np.uin
         labels[_within(box, camera, _RIM)] = 0
     for box in named:
         inside = _within(box, camera, 0.0)
-        labels[inside] = 0 if _IDS[box.kind] == 0 else _IDS[box.kind] | box.track << 16
+        labels[inside] = _IDS[box.kind] and _IDS[box.kind] | box.track << 16
         labels[inside & (camera[:, 1] > box.foot[1] - _SOLE)] = 0
     return labels
 
