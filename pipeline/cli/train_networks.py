@@ -83,7 +83,7 @@ def segment(
         str,
         typer.Option(
             metavar="WEIGHTS",
-            help="Go on from these weights, with phases of their own, rather than from none.",
+            help="Go on from these weights, in a phase of its own, and end halfway between them and what is learned.",
         ),
     ] = "",
     seed: Annotated[int, typer.Option(help="The seed of weights and crops.")] = 0,

@@ -30,6 +30,7 @@ Log = Callable[[str], None]
 
 _FOLLOW = 0.998  # share of the average that stays at each step
 _WARM_UP = 0.03  # share of the steps
+_NEW = 0.5  # share of what was learned in weights that went on from others
 
 
 class Trainer:
@@ -42,11 +43,13 @@ class Trainer:
         self.device = device
         self.step = 0
         self.network = for_cpu(SegmentNetwork(WIDTHS[recipe.width])).to(device)
+        self.begun: dict[str, torch.Tensor] | None = None
         if recipe.start:
             begun, _ = load_weights(weights_path(recipe.start))
             if begun.config != self.network.config:
                 raise UsageError(f"--start {recipe.start}: weights of another width; asked is {recipe.width}")
-            self.network.load_state_dict(begun.state_dict())
+            self.begun = {k: v.to(device) for k, v in begun.state_dict().items()}
+            self.network.load_state_dict(self.begun)
         self.average = {k: v.detach().clone() for k, v in self.network.state_dict().items()}
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), recipe.rate, recipe.betas, weight_decay=recipe.decay
@@ -83,9 +86,16 @@ class Trainer:
         return loss.item()
 
     def averaged(self) -> SegmentNetwork:
-        """Return a network with the averaged weights."""
+        """Return a network with the averaged weights.
+
+        Where the training went on from others, the network is halfway between them and what was learned: it keeps
+        what the few new scans do not tell (Wortsman et al., CVPR 2022).
+        """
         network = SegmentNetwork(self.network.config)
-        network.load_state_dict(self.average)
+        state = self.average
+        if self.begun is not None:
+            state = {k: v.lerp(state[k], _NEW) if v.is_floating_point() else v for k, v in self.begun.items()}
+        network.load_state_dict(state)
         return network.eval()
 
     def save(self, path: Path) -> None:
