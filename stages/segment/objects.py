@@ -33,6 +33,8 @@ _LEAST_SURE, _SURE = (
     0.8,
 )  # pixels, and mean probability, of a movable object that touches a thing which is not
 _LONGEST, _HIGHEST = 20.0, 4.5  # metres; a larger thing is not one object
+_SPLINTER = 0.8  # metres; what is shorter seldom is a whole thing,
+_SPLINTER_COUNTS = 0.5  # so its odds to be movable are halved
 _SAME_PLACE = 1.5  # metres between an object and itself, a scan later
 _SIZE_COUNTS = 0.5  # metres of place that a metre of size is worth
 _LEFT = 2.0  # metres, and its own length, that an object has gone which left its place
@@ -213,6 +215,8 @@ def judge_objects(found: Sequence[Segmentation], steps: Sequence[F64 | None]) ->
     np.add.at(votes, whole, np.concatenate([one.votes for one in seen]))
     said /= np.maximum(weights, 1)[:, None]
     said[_left(seen, steps, whole), MOVABLE] += _LEFT_COUNTS
+    length = np.bincount(whole, np.concatenate([one.weights * one.shape[:, 3] for one in seen]), len(whole))
+    said[length < _SPLINTER * weights, MOVABLE] *= _SPLINTER_COUNTS
     mean = said.astype(np.float32)[whole]
     best = votes.argmax(axis=2).astype(np.uint8)[whole]
     judged = []

@@ -72,6 +72,12 @@ def test_a_car_on_a_guard_rail_is_none() -> None:
     assert _share(judged, -4.5, 4.5) == 0.0
 
 
+@pytest.mark.parametrize(("width", "share"), [(0.5, 0.0), (1.5, 1.0)])
+def test_a_splinter_has_to_be_surer_than_a_thing(width: float, share: float) -> None:
+    (judged,) = judge_objects([_scan([(_board(9.0, 0.0, width, 1.2), 0.6)])], [None])
+    assert _share(judged, -0.2, 0.2) == share
+
+
 def test_who_surely_stands_before_a_wall_stays() -> None:
     scene = [(_board(10.0, 3.0, 6.0, 1.7), 0.05), (_board(9.9, 1.0, 0.9, 1.7), 0.95)]
     (judged,) = judge_objects([_scan(scene)], [None])
