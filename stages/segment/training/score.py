@@ -49,10 +49,15 @@ def group_scores(counts: NDArray[np.int64], with_terrain: bool) -> dict[str, flo
     rows = counts.copy()
     if not with_terrain:
         rows[TERRAIN] = 0
-    found = dict(intersection_over_union(_by_group(rows), GROUPS))
+    movable = intersection_over_union(_by_group(rows), GROUPS).get(GROUPS[MOVABLE])
     rows[UNLABELLED] = 0  # tells movable from not, not what else
-    named = dict(intersection_over_union(_by_group(rows), GROUPS))
-    return {name: (found if name == GROUPS[MOVABLE] else named)[name] for name in named}
+    found = dict(intersection_over_union(_by_group(rows), GROUPS)) if _whole(counts) else {}
+    return found if movable is None else found | {GROUPS[MOVABLE]: movable}
+
+
+def _whole(counts: NDArray[np.int64]) -> bool:
+    """Tell whether more than boxes is labelled."""
+    return not counts[UNLABELLED].any() or bool(counts[GROUP_OF_CLASS == GROUND].any())
 
 
 def _by_group(rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -65,7 +70,9 @@ def scores(counts: NDArray[np.int64]) -> dict[str, float]:
     """Sum up class counts: ``movable``, ``ground``, ``other`` (terrain left out), the same with terrain, recall, precision, mIoUs."""
     without, whole = group_scores(counts, False), group_scores(counts, True)
     movable = GROUP_OF_CLASS == MOVABLE
-    by_class = intersection_over_union(counts, [c.name for c in CLASSES])
+    named = counts.copy()
+    named[UNLABELLED] = 0
+    by_class = intersection_over_union(named, [c.name for c in CLASSES]) if _whole(counts) else {}
     twelve = {CLASSES[i].name: by_class[CLASSES[i].name] for i in TWELVE if CLASSES[i].name in by_class}
     return {
         "movable": whole.get("movable", float("nan")),

@@ -163,5 +163,6 @@ def test_boxes_are_scored_on_movables_only() -> None:
     labels = np.array([10, 10, 99, 99, 0], np.uint32)
     found = scores(count(labels, np.array([1, 13, 1, 9, 1], np.uint8)))
     assert found["movable"] == 1 / 3 and found["precision_movable"] == 0.5 and np.isnan(found["ground"])
+    assert np.isnan(found["other"]) and np.isnan(found["miou"])
     whole = scores(count(np.append(labels, 40).astype(np.uint32), np.array([1, 13, 1, 9, 1, 9], np.uint8)))
     assert whole["movable"] == 0.5 and whole["precision_movable"] == 1.0 and whole["ground"] == 1.0
