@@ -44,7 +44,7 @@ I64 = NDArray[np.int64]
 def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | None:
     """Return the model with the driver that made points ``(N, 3)`` of lasers ``(N,)`` (-1: not known); None where none is found."""
     levers = np.abs(np.stack([model.h, model.z0, model.d0]))
-    if levers.max() > _LEVER:
+    if np.median(levers, axis=1).max() > _LEVER:  # of a laser with few points there may be any
         found = _ouster(model)
         return _polished(found, points, laser)
     reach = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1))

@@ -16,12 +16,12 @@ from salpcc.schemas.errors import SensorError
 from salpcc.stages.ingest.calibrate.find_driver import find_driver, share_identical
 from salpcc.stages.ingest.calibrate.fit_laser import fit_laser
 from salpcc.stages.ingest.calibrate.fit_moved import settle, undo_known, undo_unknown
-from salpcc.stages.lattice.aim import aim
+from salpcc.stages.lattice.aim import aim, share_on
 from salpcc.stages.lattice.find_lasers import Listed, find_lasers
 from salpcc.stages.lattice.find_steps import find_count, find_ticks
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.list_motion import fit_cones, places, solve, undo
-from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
 
 _MOST_POINTS = 150_000  # per laser
 _LEAST_POINTS = 50
@@ -30,6 +30,7 @@ _WORTH_IT = 0.5  # of the misfit of the cones, that undoing a motion leaves
 _EXPLAINED = 0.02  # metres
 _LEAST_EXPLAINED, _LEAST_LASERS = 0.5, 0.7  # of the returns, and of the lasers, of any scan
 _COLUMNS = {512, 1024, 2048, 4096}  # of organised clouds
+_PROVEN, _SURE = 0.9, 0.99  # of all returns, that come back to the bit
 _STILL = 2e-5  # metres from the lattice; what is farther was moved, or is rounded
 _SETTLED = 2  # times that motions and model are fitted to each other
 _JITTER = 2  # ticks within a firing
@@ -77,36 +78,52 @@ def fit_sensor(scans: Sequence[Listed], name: str, rounded: bool) -> Fit:
     kept = [scan for scan in scans if len(scan.points)]
     if not kept:
         raise SensorError("no scan to calibrate on")
-    timed = not rounded and all(scan.time is not None for scan in kept)
+    fit, error = None, None
     try:
         fit = _fitted(kept, name, rounded)
-    except SensorError:
-        moved = _fit_moved(kept, name) if timed else None
-        if moved is None:
-            raise
-        return moved
-    if timed and np.median(fit.off) > _STILL:
-        return _fit_moved(kept, name) or fit
+    except SensorError as found:
+        error = found
+    least = 0.0 if fit is None else fit.model.bit_identical_share or 0.0
+    if not rounded and least < _SURE:
+        fit = _fit_shipped(kept, name, least) or _fit_moved(kept, name, fit) or fit
+    if fit is None:
+        raise error or SensorError("no sensor is found")
     return fit
 
 
-def _fit_moved(scans: Sequence[Listed], name: str) -> Fit | None:
-    """Fit a model to scans that were moved by their points' times; None where no such motion is found."""
+def _fit_shipped(scans: list[Listed], name: str, least: float) -> Fit | None:
+    """A shipped model, where it gives back most of all returns to the bit, and more of them than ``least``."""
+    points = [scan.points.astype(np.float32) for scan in scans]
+    for sensor in (load_sensor(file.stem) for file in sorted(SENSORS.glob("*.json"))):
+        if sensor.driver is None or not share_on(sensor, points[0]) > _PROVEN:
+            continue
+        share = share_identical(sensor, np.concatenate(points))
+        if share > max(least, _PROVEN):
+            return _fit_of(replace(sensor, name=name, bit_identical_share=round(share, 6)), scans)
+    return None
+
+
+def _fit_of(model: SensorModel, scans: list[Listed], moved: int = 0) -> Fit:
+    """The fit that scans, their motion undone, are of a model that was there before."""
+    aimed = [aim(model, scan.points) for scan in scans]
+    off = np.concatenate([a[3][scan.seen] for a, scan in zip(aimed, scans, strict=True)])
+    return Fit(model, 0, 1.0, 1.0, moved, [scan.points for scan in scans], [a[0] for a in aimed], off)
+
+
+def _fit_moved(scans: list[Listed], name: str, still: Fit | None) -> Fit | None:
+    """Fit a model to scans that were moved by their points' times, unless ``still`` fits; None where no such motion is found."""
+    if any(scan.time is None for scan in scans) or (still is not None and np.median(still.off) <= _STILL):
+        return None
     known = undo_known(scans, name)
     if known is not None:
-        model, still = known
-        aimed = [aim(model, scan.points) for scan in still]
-        off = np.concatenate([a[3][scan.seen] for a, scan in zip(aimed, still, strict=True)])
-        raw, laser = [scan.points for scan in still], [a[0] for a in aimed]
-        return Fit(model, 0, 1.0, 1.0, len(still), raw, laser, off)
+        return _fit_of(*known, len(scans))
     undone = undo_unknown(scans)
     if undone is None:
         return None
-    still, moves = undone
+    raw, moves = undone
     for _ in range(_SETTLED):
-        fit = _fitted(still, name, False)
-        still = settle(fit.model, scans, moves)
-    return replace(_fitted(still, name, False), moved=len(still))
+        raw = settle(_fitted(raw, name, False).model, scans, moves)
+    return replace(_fitted(raw, name, False), moved=len(raw))
 
 
 def _fitted(kept: list[Listed], name: str, rounded: bool) -> Fit:

@@ -2,7 +2,8 @@
 
 Around a point of an organised cloud lie the points to its left and above; around one of a list of firings, the last of the same laser and of those next
 to it in elevation. Their mean, weighted by how alike the distances are, is mended by weights that are learned on the way; how far values were off
-nearby tells how far this one may be. Decoders repeat all of it: only ``+ - * /`` on float64 in a fixed order.
+nearby tells how far this one may be. A *guide*, another column that was told before, such as reflectivities, tells what points of its value had so far,
+times their squared distance: one value more. Decoders repeat all of it: only ``+ - * /`` on float64 in a fixed order.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
 
-_AROUND = 6  # values looked at
+_AROUND = 7  # values looked at, the last by the guide
 _ALIKE = 0.008  # of the distance; what differs less counts alike
 _RATE = 0.004  # of learning
+_GUIDED = 2000.0  # what a value by the guide counts
+_KEYS, _SLOWEST = 4096, 1.0 / 32.0  # of guides; what a new value counts at least
 _BUCKETS = 48
 _LARGEST = float(1 << 36)
 _CLASSES = _BUCKETS // 2
@@ -38,12 +41,17 @@ def _bucket(value):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _code(writing, state, data, values, void, ranges, width, laser, above, below, models):  # type: ignore[no-untyped-def]
-    """Write or read values ``(N,)``; ``width`` of an organised cloud, or 0: by ``laser``, whose neighbours are ``above`` and ``below``."""
+def _code(writing, state, data, values, void, ranges, width, laser, above, below, guide, models):  # type: ignore[no-untyped-def]
+    """Write or read values ``(N,)``; ``width`` of an organised cloud, or 0: by ``laser``, whose neighbours are ``above`` and ``below``; ``guide``: ``(N,)``, or empty."""
     of_spread, of_value, of_void = models
     n = len(void)
     recent = np.full((len(above), 2), -1)  # of each laser: the last point and the one before
     near = np.full(_AROUND, -1)
+    lit, times, stray = (
+        np.zeros(_KEYS),
+        np.zeros(_KEYS),
+        np.zeros(_KEYS),
+    )  # of guides: value, how often, how far off
     weight, off = np.zeros(_AROUND), np.zeros(_AROUND)
     missed = np.zeros(n)
     before, empty = -1, np.int64(0)
@@ -91,6 +99,15 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
             total += alike
             mean += alike * values[near[j]]
             miss += alike * missed[near[j]]
+        key, guided, square = 0, 0.0, ranges[i] * ranges[i]
+        if len(guide) > 0:
+            key = guide[i] & (_KEYS - 1)
+            guided = lit[key] / square
+            if times[key] > 0.0:
+                alike = _GUIDED / (1.0 + stray[key])
+                total += alike
+                mean += alike * guided
+                miss += alike * stray[key]
         if total == 0.0 and before >= 0:
             total, mean, miss = 1.0, float(values[before]), missed[before]
         if total > 0.0:
@@ -98,6 +115,8 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
         expected, power, rough = mean, 1.0, 0.0
         for j in range(_AROUND):
             off[j] = values[near[j]] - mean if near[j] >= 0 else 0.0
+            if j == _AROUND - 1 and times[key] > 0.0:
+                off[j] = guided - mean
             expected += weight[j] * off[j]
             power += off[j] * off[j]
             rough += abs(off[j])
@@ -114,6 +133,12 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
             values[i] = whole + number
         error = min(max(values[i] - expected, -_LARGEST), _LARGEST)
         missed[i] = abs(error)
+        if len(guide) > 0:
+            gain = max(1.0 / (times[key] + 1.0), _SLOWEST)
+            if times[key] > 0.0:
+                stray[key] += gain * (abs(values[i] - guided) - stray[key])
+            lit[key] += gain * (values[i] * square - lit[key])
+            times[key] += 1.0
         for j in range(_AROUND):
             weight[j] = min(max(weight[j] + _RATE * error * off[j] / power, -2.0), 2.0)
         before = i
@@ -122,7 +147,7 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
             recent[laser[i], 0] = i
 
 
-Around = tuple[Flags, F64, int, I64, I64, I64]  # void, ranges, width, laser, above, below
+Around = tuple[Flags, F64, int, I64, I64, I64, I64]  # void, ranges, width, laser, above, below, guide
 
 
 def encode_blended(values: I64, around: Around) -> bytes:

@@ -62,9 +62,8 @@ _RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, peri
 _BY_LASER = struct.Struct("<I")  # length
 _TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
 _BLENDED = struct.Struct("<BBBI")  # what lies around, form, scale, length
-_LISTED, _FIRED, _ROWS = range(
-    3
-)  # what lies around a point: those before it, those of its laser, those of its row and column
+# What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide.
+_LISTED, _FIRED, _ROWS, _GUIDED = range(4)
 _TOLD = struct.Struct("<BBq")  # form, power of ten, origin
 _COLUMNS = struct.Struct("<BqII")  # void, origin, lengths of shifts and values
 _CLOSE = 0.002  # metres from the lattice
@@ -87,6 +86,7 @@ class Points:
         width: of a row of an organised cloud, else 0.
         sensor: whose lattice they may lie on.
         told: lasers and times of the points, where these are known.
+        guide: a column ``(N,)`` int64 that the field may follow from, where one is known.
     """
 
     xyz: NDArray[np.float32]
@@ -96,6 +96,7 @@ class Points:
     width: int = 0
     sensor: SensorModel | None = None
     told: Timeline | None = None
+    guide: Integers | None = None
 
     @classmethod
     def of(
@@ -124,20 +125,24 @@ class Points:
 
     def around(self, what: int) -> Around | None:
         """What values are blended from; None where it is not known."""
-        n = len(self.void)
-        nobody = np.full(2, -1)
+        n, nobody, guide = len(self.void), np.full(2, -1), np.zeros(0, np.int64)
+        if what >= _GUIDED:
+            if self.guide is None:
+                return None
+            what, guide = what - _GUIDED, self.guide
         if what == _ROWS:
             width = self.width if self.width > 1 else 0
-            return (self.void, self.ranges, width, np.zeros(1, np.int64), nobody, nobody) if width else None
+            lasers = np.zeros(1, np.int64)
+            return (self.void, self.ranges, width, lasers, nobody, nobody, guide) if width else None
         if what == _LISTED:
-            return self.void, self.ranges, 0, np.zeros(n, np.int64), nobody, nobody
+            return self.void, self.ranges, 0, np.zeros(n, np.int64), nobody, nobody, guide
         if self.fired is None:
             return None
         above, below = np.full(self.fired.lasers + 1, -1), np.full(self.fired.lasers + 1, -1)
         if self.sensor is not None:
             order = np.argsort(-self.sensor.theta, kind="stable")[: self.fired.lasers]
             above[order[1:]], below[order[:-1]] = order[:-1], order[1:]
-        return self.void, self.ranges, 0, self.fired.laser, above, below
+        return self.void, self.ranges, 0, self.fired.laser, above, below, guide
 
     @cached_property
     def on_lattice(self) -> bool:
@@ -261,8 +266,9 @@ def _encode_blended(values: Values, points: Points) -> bytes | None:
     if integers.min() <= -MOST or integers.max() >= MOST:
         return None
     coded = []
-    for what in (_ROWS, _FIRED) if points.width > 1 or points.on_lattice else (_LISTED,):
-        around = points.around(what) if what != _FIRED or points.on_lattice else None
+    ways = [_ROWS] * (points.width > 1) + [_FIRED] * points.on_lattice or [_LISTED]
+    for what in [*ways, *(way + _GUIDED for way in ways)]:
+        around = points.around(what)
         if around is not None:
             stream = encode_blended(integers, around)
             coded.append(bytes([BLENDED]) + _BLENDED.pack(what, form, scale, len(stream)) + stream)
@@ -271,7 +277,7 @@ def _encode_blended(values: Values, points: Points) -> bytes | None:
 
 def _decode_blended(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
     (what, form, scale, length), at = _unpacked(_BLENDED, data, at)
-    around = points.around(what) if what <= _ROWS else None
+    around = points.around(what) if what <= _ROWS + _GUIDED else None
     sound = form == (DECIMAL if kind.kind == "f" else BITS) and scale < len(SCALES)
     if around is None or not sound or at + length > len(data):
         raise ArchiveError("payload does not decode")

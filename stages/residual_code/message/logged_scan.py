@@ -10,14 +10,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import intensity_of
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode_cloud, points_of
-from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
+from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
 from salpcc.stages.strays.timeline import Timeline
+
+_REFLECTIVITY = "reflectivity"
 
 
 def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
@@ -33,7 +36,15 @@ def encode_intensity(sweep: Sweep, sensor: SensorModel, told: Timeline | None = 
     if sweep.cloud.layout.slots[3] is None:
         return b""
     scan = sweep_to_scan(sweep, sensor)
-    return encode_field(scan.intensity, points_of(scan.points, sweep.cloud, sensor, told))
+    return encode_field(
+        scan.intensity, _guided(points_of(scan.points, sweep.cloud, sensor, told), sweep.cloud)
+    )
+
+
+def _guided(points: Points, cloud: Cloud) -> Points:
+    """What intensities are told from: reflectivities, too, which come before them."""
+    field = next((c for c in cloud.layout.columns if c.name == _REFLECTIVITY and c.dtype.kind in "iu"), None)
+    return points if field is None else replace(points, guide=cloud.values(field).astype(np.int64))
 
 
 def encode_logged(
@@ -70,7 +81,7 @@ def decode_logged(
     if cloud.layout.slots[3] is None:
         values = intensity_of(cloud)
     else:
-        known = points_of(points, cloud, sensor, told)
+        known = _guided(points_of(points, cloud, sensor, told), cloud)
         values, end = decode_field(intensity, 0, np.dtype(np.float32), known)
         if end != len(intensity):
             raise ArchiveError("payload does not decode")

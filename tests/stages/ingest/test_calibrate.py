@@ -10,10 +10,10 @@ from salpcc.stages.ingest.calibrate.fit_sensor import fit_sensor, share_exact
 from salpcc.stages.ingest.simulator.config import SimulationConfig
 from salpcc.stages.ingest.simulator.scans import simulate_scans
 from salpcc.stages.lattice.find_lasers import Listed
-from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.lattice import driven, unproject
 from salpcc.stages.lattice.list_motion import places, redo, solve
 from salpcc.stages.lattice.order import azimuth_keys
-from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 
 TURNING = np.array([-0.6, 0.01, 0.005, 1e-3, -5e-4, 4e-3])
 
@@ -172,3 +172,22 @@ def test_real_sweep_of_nuscenes(real_data) -> None:
     data_sheet = np.linspace(-30.67, 10.67, 32)
     assert np.abs(np.degrees(fit.model.theta) - data_sheet).max() < 0.05
     assert fit.share_within(0.005) > 0.98
+
+
+@pytest.mark.parametrize("kind", ["near", "thinned", "part"])
+def test_a_shipped_model_is_recognised_in_what_is_left_of_a_cloud(kind: str) -> None:
+    """No ring numbers, and nothing beyond 4 m, or every third point, or half a turn: too little to find all lasers by."""
+    sensor = load_sensor("vlp32c")
+    rng = np.random.default_rng(0)
+    laser, firing = np.tile(np.arange(sensor.n_lasers), 600), np.repeat(np.arange(600), sensor.n_lasers)
+    far = (2.5 if kind == "near" else 9.0) + np.sin(firing / 60) + rng.normal(0, 0.01, len(laser))
+    seen = rng.random(len(laser)) < np.where(laser % 5 == 0, 0.05, 0.8)
+    seen &= {"near": True, "thinned": np.arange(len(laser)) % 3 == 0, "part": firing < 300}[kind]
+    points = driven(
+        sensor, laser.astype(np.uint8), (firing * 60).astype(np.int32), np.rint(far / sensor.count)
+    ).astype(np.float32)[seen]
+    fit = fit_sensor([Listed(points.astype(np.float64))], "x", rounded=False)
+    assert fit.model.n_lasers == sensor.n_lasers
+    assert fit.model.driver is not None
+    assert fit.model.bit_identical_share > 0.999
+    assert fit.model.name == "x"

@@ -14,7 +14,8 @@ from salpcc.stages.lattice.list_motion import redo
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
 from salpcc.stages.residual_code.message.field_coder import BY_LASER, TOLD, Points, decode_field, encode_field
-from salpcc.stages.strays.stray_coder import AIMED, MOVED, decode_strays, encode_strays, plan
+from salpcc.stages.strays.aimed_strays import OFF_LASER
+from salpcc.stages.strays.stray_coder import AIMED, MOVED, decode_strays, encode_strays, off_lattice, plan
 
 FIRINGS = 600
 DRIVE = np.array([1.1, -0.05, 0.02, 0.001, -0.002, 0.015])  # metres and radians a turn
@@ -58,6 +59,7 @@ def test_found_and_undone_to_the_bit(sensor: SensorModel, reference: float, scal
     assert back.tobytes() == points.tobytes()
     assert told is not None
     assert (told.time == time).all()
+    assert off_lattice(len(points), data) == (told.laser == OFF_LASER).sum() == 0
     assert len(data) < 0.6 * len(encode_strays(places, plan(points, 0.0, sensor)))
     for values, kind in ((time.astype(np.uint32), TOLD), (ring.astype(np.uint16), BY_LASER)):
         known = Points.of(points, 0, sensor, told)
@@ -87,6 +89,7 @@ def test_what_times_do_not_explain_comes_back(sensor: SensorModel) -> None:
         _, back, _, sound = decode_strays(len(cloud), 0.0, np.frombuffer(bytearray(data), np.uint8), sensor)
         assert sound
         assert back.tobytes() == cloud.tobytes()
+        assert 0 < off_lattice(len(cloud), data) <= len(cloud)
 
 
 def test_calibration_undoes_it(sensor: SensorModel) -> None:

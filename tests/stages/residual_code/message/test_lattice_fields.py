@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,19 @@ def test_intensities_of_rows_and_of_lists() -> None:
         values = np.where(points.void, 0, pictured(points, 3.0)).astype(np.uint16)
         sizes.append(len(coded(values, points)))
     assert sizes[0] < 0.9 * sizes[1]
+
+
+def test_intensities_follow_from_reflectivities(listed) -> None:
+    points, _, _ = listed
+    rng = np.random.default_rng(0)
+    shine = rng.integers(1, 60, len(points.xyz))
+    values = (
+        np.rint(40.0 * shine / points.ranges**2 + rng.normal(0, 0.3, len(shine))).clip(0).astype(np.float32)
+    )
+    sizes = [len(coded(values, known)) for known in (points, replace(points, guide=shine))]
+    assert sizes[1] < 0.75 * sizes[0]
+    wild = rng.integers(-(1 << 62), 1 << 62, len(shine))
+    coded(values, replace(points, guide=wild))
 
 
 @pytest.mark.parametrize("width", [0, 64])
