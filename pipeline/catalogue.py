@@ -5,19 +5,24 @@ It is made of what runs have measured; nothing is decoded for it. What is not kn
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ShardError, UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS, MOVABLE, OTHER
 
+F64 = NDArray[np.float64]
 VERSION = 1
+_NONE: Mapping[tuple[str, str], F64] = MappingProxyType({})
 _VERSION_KEY = b"salpcc.catalogue.version"
 STREAMS = ("geometry", "intensity", "classes", "side")
 # By column the class that it counts. Ground of no known kind is in the group's column.
@@ -40,6 +45,9 @@ CATALOGUE = pa.schema(
         *((name, pa.int64()) for name in CLASS_COLUMNS),  # points by class
         ("speed", pa.float64()),  # m/s
         ("yaw_rate", pa.float64()),  # rad/s, to the left
+        *(
+            (name, pa.float64()) for name in ("x", "y", "z", "heading")
+        ),  # m and rad, in the frame of the poses
         ("bytes", pa.int64()),
         *((f"bytes_{name}", pa.int64()) for name in STREAMS),
         ("bits", pa.float64()),  # per point of the source: far from its neighbours' it tells of a sick sensor
@@ -57,8 +65,12 @@ def catalogue_path(out: Path) -> Path:
     return out / "catalogue.parquet"
 
 
-def catalogue_of(metrics: pa.Table) -> pa.Table:
-    """Return the catalogue of the scans of a METRICS table (:mod:`salpcc.stages.evaluate.report.schema`)."""
+def catalogue_of(metrics: pa.Table, poses: Mapping[tuple[str, str], F64] = _NONE) -> pa.Table:
+    """Return the catalogue of the scans of a METRICS table (:mod:`salpcc.stages.evaluate.report.schema`).
+
+    Args:
+        poses: ``(4, 4)`` by sequence and name, as far as they are known.
+    """
     points = metrics.column("points_in")
     sizes = {name: metrics.column(f"bytes_{name}") for name in STREAMS}
     columns: dict[str, Any] = {name: metrics.column(name) for name in metrics.column_names}
@@ -67,6 +79,7 @@ def catalogue_of(metrics: pa.Table) -> pa.Table:
     columns["fallback"] = columns["points_on_fallback"]
     columns |= _counts(metrics)
     columns |= _motion(metrics)
+    columns |= _places(metrics, poses)
     columns["bytes"] = sum_of(sizes.values())
     for name, size in {"bits": columns["bytes"], **{f"bits_{n}": s for n, s in sizes.items()}}.items():
         bits = pc.divide(pc.multiply(size.cast(pa.float64()), 8.0), points.cast(pa.float64()))
@@ -120,7 +133,18 @@ def _motion(metrics: pa.Table) -> dict[str, pa.Array]:
     return {"speed": pa.array(speed, mask=~known), "yaw_rate": pa.array(yaw_rate, mask=~known)}
 
 
-def _turn(names: list[str], times: np.ndarray[Any, np.dtype[np.int64]]) -> float:
+def _places(metrics: pa.Table, poses: Mapping[tuple[str, str], F64]) -> dict[str, pa.Array]:
+    """Where the sensor was, and the direction it faced: 0 along x, to the left from there."""
+    scans = zip(*(metrics.column(key).to_pylist() for key in ("sequence", "name")), strict=True)
+    found = [poses.get(scan) for scan in scans]
+    at = [None if pose is None else (*pose[:3, 3], np.arctan2(pose[1, 0], pose[0, 0])) for pose in found]
+    return {
+        name: pa.array([row and float(row[place]) for row in at], pa.float64())
+        for place, name in enumerate(("x", "y", "z", "heading"))
+    }
+
+
+def _turn(names: list[str], times: NDArray[np.int64]) -> float:
     """Seconds from a scan to the next; between frame numbers that have gaps, their share."""
     order = np.argsort(times, kind="stable")
     numbers = np.arange(len(names))

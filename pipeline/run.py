@@ -15,6 +15,7 @@ from salpcc.pipeline.catalogue import catalogue_of, write_catalogue
 from salpcc.pipeline.cluster import check_device, connect
 from salpcc.pipeline.encode import resolve
 from salpcc.pipeline.graph import Graph, GraphOptions, Outcome
+from salpcc.pipeline.held_poses import held_poses
 from salpcc.pipeline.lock import locked
 from salpcc.pipeline.plan import SequencePlan, plan_run
 from salpcc.pipeline.progress import STDERR, Report, Silent, bar
@@ -29,6 +30,7 @@ from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report import write as report
 from salpcc.stages.evaluate.report.schema import BASELINES, FAILURES, METRICS, TIMES
 from salpcc.stages.ingest.sources.simulated import Simulated
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,12 @@ def _gather(
     now["baselines"] = baselines_.filter(record.among(baselines_, now["metrics"], ("sequence", "name")))
     now["failures"] = record.with_earlier(request.out, "failures", now["failures"], kept - asked)
     record.record(request.out, run, **now)
-    write_catalogue(catalogue_of(now["metrics"]), request.out)
+    poses = {
+        (sequence, name): pose
+        for sequence in sorted(measured | kept)
+        for name, pose in held_poses(ArchiveReader(archive_path(request.out, sequence))).items()
+    }
+    write_catalogue(catalogue_of(now["metrics"], poses), request.out)
 
 
 def _notes(config: RunConfig, earlier: dict[str, str]) -> list[str]:

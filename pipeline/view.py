@@ -4,26 +4,31 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive, Layers
+from salpcc.pipeline.held_poses import held_poses
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import read_at
 from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.messages import COMPRESSED
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sources.bag import Bag
+from salpcc.stages.mapping.poses import inverse
 from salpcc.stages.residual_code.archive.format import frame_number
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 F64 = NDArray[np.float64]
 Colours = NDArray[np.uint8]
+_NONE: Mapping[str, F64] = MappingProxyType({})
 
 _MOST_SECONDS = 10**8  # of a clock that counts from the start of a log; larger ones count from 1970
 _HEAD = 256  # bytes in which an archive has the type of its first channel
@@ -78,7 +83,7 @@ def scans_of(path: Path, layers: Layers, frames: tuple[int, int] | None) -> Iter
         raise UsageError(f"{path}: not found; name an archive, a log or the folder of a map")
     first, last = frames or (0, 1 << 62)
     shown = 0
-    if path.is_file() and COMPRESSED.encode() in read_at(path, 0, min(_HEAD, path.stat().st_size)):
+    if is_archive(path):
         archive = Archive.open(path, layers=layers)
         for place, name in enumerate(archive.names):
             if first <= frame_number(name, place) < last:
@@ -96,6 +101,11 @@ def scans_of(path: Path, layers: Layers, frames: tuple[int, int] | None) -> Iter
         raise UsageError(f"{path}: no scan lies in these frames")
 
 
+def is_archive(path: Path) -> bool:
+    """Tell an archive from a log and from a folder."""
+    return path.is_file() and COMPRESSED.encode() in read_at(path, 0, min(_HEAD, path.stat().st_size))
+
+
 def step(motion: F64, turns: float) -> F64:
     """Return the pose ``(4, 4)`` of a scan ``turns`` turns on, in the frame of the scan before, by its own ``(v, w)``.
 
@@ -111,12 +121,15 @@ def step(motion: F64, turns: float) -> F64:
 
 
 class Drive:
-    """Where the sensor was at each scan, by the motions that scans carry; at rest, where they carry none.
+    """Where the sensor was at each scan: by poses where they are known, else by the motions that scans carry; else at rest.
 
-    Over a gap of many scans the motion says nothing: the drive goes on from where it was, and its path has a gap, too.
+    Over a gap of many scans a motion says nothing: the drive goes on from where it was, and its path has a gap, too.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, poses: Mapping[str, F64] = _NONE) -> None:
+        """Begin at the first scan; ``poses``: by the names of scans, in any frame."""
+        self._poses = poses
+        self._first: F64 | None = None  # of the poses, undone
         self.paths: list[list[F64]] = [[]]
         self.scans = 0
         self._pose: F64 = np.eye(4)
@@ -126,7 +139,11 @@ class Drive:
         """Return the pose ``(4, 4)`` of a scan in the frame of the first one; scans come in their order."""
         number = frame_number(scan.name, self.scans)
         turns = 0 if self._number is None else number - self._number
-        if turns > _MOST_TURNS:
+        if scan.name in self._poses:
+            if self._first is None:
+                self._first = self._pose @ inverse(self._poses[scan.name])
+            self._pose = self._first @ self._poses[scan.name]
+        elif turns > _MOST_TURNS:
             self.paths.append([])
         elif scan.motion is not None:
             self._pose = self._pose @ step(scan.motion, turns)
@@ -157,7 +174,7 @@ def view(
     if save is not None:
         rr.save(save, default_blueprint=blueprint)
     rr.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    drive = Drive()
+    drive = Drive(held_poses(ArchiveReader(path)) if is_archive(path) else _NONE)
     _log(rr, first, drive, palette)
     for scan in scans:
         _log(rr, scan, drive, palette)

@@ -188,7 +188,8 @@ def packages_of(extra: str) -> Iterator[Requirement]:
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_an_extra_brings_what_is_asked_for(extra: str) -> None:
     packages = {requirement.name.lower().replace("-", "_") for requirement in packages_of(extra)}
-    modules = {"universal_pathlib" if name == "upath" else name for name in EXTRAS[extra]}
+    told = {"upath": "universal_pathlib", "rerun": "rerun_sdk"}
+    modules = {told.get(name, name) for name in EXTRAS[extra]}
     assert modules <= packages
 
 

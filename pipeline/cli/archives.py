@@ -71,7 +71,7 @@ def decode(
         str,
         typer.Option(
             metavar="FRAME",
-            help="recorded; sensor, as it was measured, motion compensation undone; start or end of the turn.",
+            help="Which frame: recorded; sensor, the motion compensation undone; start or end of the turn.",
         ),
     ] = "recorded",
     threads: Threads = None,

@@ -81,6 +81,12 @@ def report(
         list[Path] | None,
         typer.Option(parser=location, metavar="DIR|URL", help="Show this run or map, too; may be repeated."),
     ] = None,
+    paper: Annotated[
+        bool,
+        typer.Option(
+            "--paper", help="Show the paper's published tables, too, and what of them is not measured."
+        ),
+    ] = False,
 ) -> None:
     """Rebuild the tables, plots and page of a run from what it measured."""
     require("run", "report")
@@ -89,5 +95,5 @@ def report(
     for folder in (out, *(beside or [])):
         if not (folder / "report").is_dir():
             raise UsageError(f"{folder}: no report there; name the --out of a run")
-    build(out, beside or [])
+    build(out, beside or [], paper)
     typer.echo(f"report: {out / 'report' / 'index.html'}")

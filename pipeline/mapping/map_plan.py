@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.stages.mapping.poses import frame_number, poses_of, read_poses
+from salpcc.stages.mapping.poses import poses_of, read_poses
+from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 F64 = NDArray[np.float64]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
+from salpcc.stages.residual_code.archive.format import frame_number
 
 F64 = NDArray[np.float64]
 
@@ -62,11 +63,6 @@ def poses_of(names: Sequence[str], poses: F64, path: Path) -> F64:
                 "mend it, or use --poses odometry"
             )
     return poses[numbers]
-
-
-def frame_number(name: str, place: int) -> int:
-    """Return the frame number of a scan: its name where that is a number, else its place in the archive."""
-    return int(name) if name.isdecimal() else place
 
 
 def move(points: NDArray[np.floating], pose: F64) -> F64:

@@ -81,6 +81,25 @@ def test_speed_is_that_of_the_motion_over_a_turn() -> None:
     assert alone.column("speed").to_pylist() == [None]  # nobody knows how long a turn is
 
 
+def test_poses_of_side_files_are_in_the_catalogue(
+    toy: Callable[[Path, str, list[int]], Path], tmp_path: Path, run: Callable[..., RunResult]
+) -> None:
+    """The camera looks ahead (z), x right, y down; frame 1 is 2 m ahead and 1 m left, turned by 0.1 to the left; 2 has none."""
+    root = toy(tmp_path / "root", "03", [0, 1, 2])
+    folder = root / "sequences" / "03"
+    (folder / "calib.txt").write_text("P0: 0\nTr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+    cos, sin = np.cos(0.1), np.sin(0.1)
+    turned = f"{cos} 0 {-sin} -1 0 1 0 0 {sin} 0 {cos} 2"
+    (folder / "poses.txt").write_text(f"1 0 0 0 0 1 0 0 0 0 1 0\n{turned}\n")
+    assert not run(root, tmp_path / "out", "03", effort="fast").failed
+    rows = read_catalogue(tmp_path / "out").to_pylist()
+    found = [[row[name] for name in ("x", "y", "z", "heading")] for row in rows]
+    assert np.allclose(found[:2], [[0, 0, 0, 0], [2, 1, 0, 0.1]], atol=1e-9) and found[2] == [None] * 4
+    assert [scan["name"] for scan in find(read_catalogue(tmp_path / "out"), "x > 1").to_pylist()] == [
+        "000001"
+    ]
+
+
 def test_what_is_dropped_or_not_asked_for(
     toy_root: Path, tmp_path: Path, run: Callable[..., RunResult]
 ) -> None:

@@ -96,6 +96,18 @@ def test_the_path_adds_motions_up() -> None:
     assert [len(path) for path in drive.paths] == [4, 2] and drive.scans == 6
 
 
+def test_poses_come_before_motions() -> None:
+    """They may be in any frame, far off; a scan without one goes on by its motion."""
+    start = np.eye(4)
+    start[:3, :3], start[:3, 3] = Rotation.from_rotvec([0, 0, 1]).as_matrix(), (4e5, 5e6, 30)
+    ahead = start @ step(np.array([-3.0, 0, 0, 0, 0, 0]), 1)
+    drive = Drive({"000000": start, "000001": ahead})
+    still = (0.0,) * 6
+    assert np.allclose(drive.at(moving(0, still)), np.eye(4), atol=1e-9)
+    assert np.allclose(drive.at(moving(1, still))[:3, 3], [3, 0, 0], atol=1e-8)
+    assert np.allclose(drive.at(moving(2, (-1.0, 0, 0, 0, 0, 0)))[:3, 3], [4, 0, 0], atol=1e-8)
+
+
 def test_a_recording_is_written(archive: Path, tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     assert view(archive, save=tmp_path / "a.rrd", frames=(0, 2)) == 2

@@ -66,7 +66,7 @@ def run_figures(out: Path) -> dict[str, Any]:
     for name in sorted(set(metrics.column("sequence").to_pylist())):
         rows = _of(metrics, name)
         archive = _archive(out, name)
-        container = container_bytes(archive, rows)
+        container = container_bytes(out / "archives" / f"{name}.mcap", archive, rows)
         containers += container
         sequences[name] = figures(rows, _of(times, name), container) | _side_figures(archive)
         (sequences[name]["iou"] or {}).pop("confusion", None)  # of all sequences together is enough
@@ -74,21 +74,21 @@ def run_figures(out: Path) -> dict[str, Any]:
 
 
 def _archive(out: Path, sequence: str) -> ArchiveReader | None:
-    """The archive of a sequence, where it is at hand."""
+    """The archive of a sequence, where it is at hand and whole."""
     try:
         return ArchiveReader(out / "archives" / f"{sequence}.mcap")
     except ArchiveError:
         return None
 
 
-def container_bytes(archive: ArchiveReader | None, metrics: pa.Table) -> int:
+def container_bytes(path: Path, archive: ArchiveReader | None, metrics: pa.Table) -> int:
     """Bytes of the sequence's archive that are for its points and not payload; 0 where the archive is not at hand."""
-    if archive is None:
+    if not path.exists():
         return 0
-    coded = sum(total(metrics, f"bytes_{stream}") for stream in STREAMS)
-    # Other topics of a log, labels and side files are nobody's points.
-    other = archive.passing_bytes + archive.labels_bytes + sum(archive.side.values())
-    return max(0, archive.size - coded - other)
+    other = sum(total(metrics, f"bytes_{stream}") for stream in STREAMS)
+    if archive is not None:  # other topics of a log, labels and side files are nobody's points
+        other += archive.passing_bytes + archive.labels_bytes + sum(archive.side.values())
+    return max(0, path.stat().st_size - other)
 
 
 def _side_figures(archive: ArchiveReader | None) -> dict[str, Any]:

@@ -26,8 +26,11 @@ from salpcc.stages.evaluate.report.layout.tables import to_document
 from salpcc.stages.evaluate.report.record import recorded
 
 
-def build(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
+def build(out: Path, beside: Sequence[Path] = (), paper: bool = False) -> dict[str, Any]:
     """Write the report of the run in ``out``, with those ``beside`` it, and return what ``report.json`` says.
+
+    Args:
+        paper: show the paper's published tables on the page, too, and what of them is not measured.
 
     Raises:
         ShardError: the measurements are unreadable or of a newer version.
@@ -43,6 +46,6 @@ def build(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
     (folder / "tables.md").write_text(to_document(tables))
     drawn = pa.concat_tables([recorded(f, "pictures").replace_schema_metadata(None) for f in (out, *beside)])
     metrics = recorded(out, "metrics")
-    page = render_page(report, galleries(metrics, drawn), scene_of(metrics))
+    page = render_page(report, galleries(metrics, drawn), scene_of(metrics), paper)
     (folder / "index.html").write_text(page, encoding="utf-8")
     return report

@@ -17,8 +17,13 @@ from salpcc.stages.evaluate.report.layout.runs import all_runs
 from salpcc.stages.evaluate.report.layout.scene import Scene
 
 
-def render_page(report: Mapping[str, Any], galleries: Sequence[Gallery], scene: Scene | None = None) -> str:
-    """Fill ``page.html.j2`` with everything that the report has figures for, and a scan to turn."""
+def render_page(
+    report: Mapping[str, Any],
+    galleries: Sequence[Gallery],
+    scene: Scene | None = None,
+    paper: bool = False,
+) -> str:
+    """Fill ``page.html.j2`` with everything that the report has figures for, a scan to turn, and what the ``paper`` publishes."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -31,8 +36,8 @@ def render_page(report: Mapping[str, Any], galleries: Sequence[Gallery], scene: 
         total=report["total"],
         claims=headline(report),
         tables=all_tables(report),
-        published=published_tables(),
-        missing=missing_parts(report),
+        published=published_tables() if paper else [],
+        missing=missing_parts(report) if paper else [],
         plots=all_plots(report),
         sequence_plots=sequence_plots(report),
         galleries=galleries,

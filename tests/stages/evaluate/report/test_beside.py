@@ -156,7 +156,7 @@ def test_records_of_other_commands_are_summed_up_and_shown(runs: tuple[Path, Pat
             "pictures", {"figure": "fig10", "group": "04", "title": "a", "png": picture.getvalue()}
         ),
     )
-    built = report.build(out, [beside])
+    built = report.build(out, [beside], paper=True)
     (errors,) = table(out, "table5")
     assert errors["pairs"] == 2 and errors["rotation_deg_mean"] == pytest.approx(0.2)
     assert errors["rotation_deg_std"] == pytest.approx(0.1) and errors["asked"] == "bit-exact"

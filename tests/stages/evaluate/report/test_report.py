@@ -166,6 +166,13 @@ def test_the_page_stands_alone_and_escapes(out: Path) -> None:
     assert "30.00 mm" in page and "2026-11-22 01:30 UTC" in page
 
 
+def test_what_the_paper_publishes_is_shown_when_it_is_asked_for(out: Path) -> None:
+    for paper in (False, True):
+        report.build(out, paper=paper)
+        page = (out / "report" / "index.html").read_text()
+        assert ("As the paper publishes" in page) == ("Not in this report" in page) == paper
+
+
 def test_tables_are_written_as_markdown_and_parquet(out: Path) -> None:
     report.build(out)
     text = (out / "report" / "tables.md").read_text()

@@ -1,0 +1,38 @@
+"""The poses that an archive holds in its side files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import SourceError
+from salpcc.stages.mapping.poses import read_poses
+from salpcc.stages.residual_code.archive.format import frame_number
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
+
+_FILES = ("poses.txt", "calib.txt")
+
+
+def held_poses(reader: ArchiveReader) -> dict[str, NDArray[np.float64]]:
+    """Return the sensor's pose ``(4, 4)`` by the name of its scan, x ahead, y left, z up in the first frame of the file.
+
+    Scans without one are left out; all of them, where the archive has no poses of KITTI's kind with their calibration.
+
+    Raises:
+        ArchiveError: a side file is damaged.
+    """
+    if not set(_FILES) <= set(reader.side):
+        return {}
+    with TemporaryDirectory() as folder:
+        for name in _FILES:
+            (Path(folder) / name).write_bytes(reader.side_file(name).data)
+        try:
+            poses = read_poses(Path(folder) / _FILES[0])
+        except SourceError:  # such as of another kind
+            return {}
+    names = [entry.name for gop in reader.gops for entry in gop]
+    numbers = {name: frame_number(name, place) for place, name in enumerate(names)}
+    return {name: poses[n] for name, n in numbers.items() if n < len(poses) and np.isfinite(poses[n]).all()}
