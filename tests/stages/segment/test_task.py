@@ -2,9 +2,14 @@
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
+from salpcc.schemas.log import LogMessage
 from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.point_cloud import message_to_scan
+from salpcc.stages.lattice.lattice import driven
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
 from salpcc.stages.segment.stage import drop_movable
 from salpcc.stages.segment.task import counts_per_level, quantise
@@ -51,3 +56,51 @@ def test_a_foreign_cloud_is_bounded_too(sensor) -> None:
 def test_levels_use_the_whole_bound() -> None:
     # A level of n counts is at most n - 1 counts of 2 mm / 2 off, and the rounding takes 0.87 mm.
     assert [counts_per_level(e, 0.002) for e in (0.001, 0.005, 0.01, 0.02)] == [1, 5, 10, 20]
+
+
+def with_ranges(points: np.ndarray, told: np.ndarray) -> Scan:
+    """A recorded cloud of points ``(N, 3)`` whose message tells their distances, in millimetres."""
+    rows = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("range", "<u4")])
+    rows["x"], rows["y"], rows["z"] = points.T
+    rows["range"] = told
+    types = get_typestore(Stores.ROS2_HUMBLE).types
+    field = types["sensor_msgs/msg/PointField"]
+    cloud = types["sensor_msgs/msg/PointCloud2"](
+        header=types["std_msgs/msg/Header"](
+            stamp=types["builtin_interfaces/msg/Time"](sec=1, nanosec=0), frame_id="lidar"
+        ),
+        height=1,
+        width=len(rows),
+        fields=[
+            field(name=n, offset=4 * i, datatype=7 if i < 3 else 6, count=1)
+            for i, n in enumerate(rows.dtype.names)
+        ],
+        is_bigendian=False,
+        point_step=16,
+        row_step=16 * len(rows),
+        data=rows.view(np.uint8).ravel(),
+        is_dense=True,
+    )
+    raw = bytes(get_typestore(Stores.ROS2_HUMBLE).serialize_cdr(cloud, "sensor_msgs/msg/PointCloud2"))
+    return message_to_scan(LogMessage(1, 100, 100, 0, raw), "cdr", "/points", "0")
+
+
+@pytest.mark.parametrize("told", ["distances", "something else", "distances of other points"])
+def test_points_whose_distances_are_told_stay_exact(told: str) -> None:
+    """Their bound would be spent on what the field tells to the millimetre anyway."""
+    pandar = load_sensor("pandar64")
+    rng = np.random.default_rng(0)
+    laser, firing = np.tile(np.arange(64), 60), np.repeat(np.arange(60), 64)
+    count = np.rint((8.0 + rng.normal(0, 0.5, len(laser))) / pandar.count)
+    points = driven(pandar, laser.astype(np.uint8), (firing * 600).astype(np.int32), count).astype(np.float32)
+    millimetres = np.rint(1000.0 * count * pandar.count)
+    ranges = {
+        "distances": millimetres,
+        "something else": firing,
+        "distances of other points": millimetres[::-1],
+    }
+    scan = with_ranges(points, ranges[told])
+    task = quantise(scan_to_sweep(scan, pandar), pandar, 0.02)
+    error = np.linalg.norm(sweep_to_scan(task, pandar).points.astype(np.float64) - points, axis=1)
+    assert (error.max() == 0.0) == (told == "distances")
+    assert error.max() <= 0.02
