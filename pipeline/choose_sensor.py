@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,31 +23,53 @@ from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
 AUTO, OTHERWISE = "auto", "hdl64e"
 _CLOUDS = 2  # of each topic
 _LEAST = 0.5  # of the returns that must lie on the lattice
+_NEAR, _NEARLY = 0.002, 0.9  # metres from it, and of the returns that must be so near
 
 
-def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> tuple[str, float | None]:
-    """Return the name of the shipped model on whose lattice most returns of the first clouds lie, and their share.
+class Chosen(NamedTuple):
+    """A shipped model, and the share of the returns of the first clouds that lie on its lattice, or ``within`` metres of it.
 
-    OTHERWISE, and 0, where no model holds for half of them; None where nothing can be read: the run will say why, and
-    what of the log stays behind.
+    ``share`` is 0 where no model holds for most of them, None where nothing can be read: the run will say why, and what of
+    the log stays behind.
+    """
+
+    name: str
+    share: float | None
+    within: float = 0.0
+
+
+def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> Chosen:
+    """Choose the shipped model of the first clouds of a log; OTHERWISE where there is none.
+
+    Clouds may be of a sensor whose driver was another, which rounds azimuths otherwise or not at all: then nearly all of them
+    are next to the lattice, and corrections are small.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LogWarning)
         clouds = _first_clouds(log, sequence, topics)
     if not clouds:
-        return OTHERWISE, None
+        return Chosen(OTHERWISE, None)
     sensors = [load_sensor(file.stem) for file in sorted(SENSORS.glob("*.json"))]
-    for share_of in (_share, _share_moved):
+    for share_of, least, within in (
+        (_share, _LEAST, 0.0),
+        (_share_moved, _LEAST, 0.0),
+        (_share_near, _NEARLY, _NEAR),
+    ):
         shares = [float(np.mean([share_of(sensor, scan) for scan in clouds])) for sensor in sensors]
         best = int(np.argmax(shares))
-        if shares[best] > _LEAST:
-            return sensors[best].name, shares[best]
-    return OTHERWISE, 0.0
+        if shares[best] > least:
+            return Chosen(sensors[best].name, shares[best], within)
+    return Chosen(OTHERWISE, 0.0)
 
 
 def _share(sensor: SensorModel, scan: Scan) -> float:
     """Share of a cloud's returns on a lattice."""
     return share_on(sensor, scan.points)
+
+
+def _share_near(sensor: SensorModel, scan: Scan) -> float:
+    """Share of a cloud's returns next to a lattice of a known driver."""
+    return share_on(sensor, scan.points, _NEAR) if sensor.driver is not None else 0.0
 
 
 def _share_moved(sensor: SensorModel, scan: Scan) -> float:

@@ -122,9 +122,10 @@ def log(
             f"or let `ros2 bag reindex` make one bag of them"
         )
     if sensor == AUTO:
-        sensor, share = choose_sensor(file, names[0], tuple(topic or ()))
+        sensor, share, within = choose_sensor(file, names[0], tuple(topic or ()))
+        where = f"are within {1000 * within:g} mm of" if within else "lie on"
         told = (
-            f"sensor: {sensor}, {share:.0%} of the returns of the first clouds lie on its lattice"
+            f"sensor: {sensor}, {share:.0%} of the returns of the first clouds {where} its lattice"
             if share
             else f"sensor: no shipped model fits; `salpcc-pipeline calibrate {file} --out sensor.json` may find one"
         )

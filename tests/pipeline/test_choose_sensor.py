@@ -47,13 +47,26 @@ def cloud_of(sensor: SensorModel) -> np.ndarray:
 
 @pytest.mark.parametrize("name", [name for name in SHIPPED if name != OTHERWISE])
 def test_finds_every_shipped_sensor(name: str, chosen) -> None:
-    assert chosen(cloud_of(load_sensor(name))) == (name, 1.0)
+    assert chosen(cloud_of(load_sensor(name))) == (name, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["vlp16", "xt32", "hdl32e"])
+def test_finds_a_sensor_whose_driver_does_not_round_azimuths(name: str, chosen) -> None:
+    points = cloud_of(load_sensor(name)).astype(np.float64)
+    angle = np.radians(np.random.default_rng(1).uniform(-0.005, 0.005, len(points)))
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
+    turned = np.stack([x, y, points[:, 2]], axis=1).astype(np.float32)
+    found = chosen(turned)
+    assert found.name == name
+    assert found.share > 0.9
+    assert found.within > 0.0
 
 
 def test_takes_the_default_for_what_it_does_not_know(chosen) -> None:
     unknown = np.random.default_rng(0).uniform(-20, 20, (4000, 3)).astype(np.float32)
-    assert chosen(unknown) == (OTHERWISE, 0.0)
-    assert chosen(unknown[:0]) == (OTHERWISE, None)  # nothing to tell by
+    assert chosen(unknown) == (OTHERWISE, 0.0, 0.0)
+    assert chosen(unknown[:0]) == (OTHERWISE, None, 0.0)  # nothing to tell by
 
 
 RECORDINGS = {
