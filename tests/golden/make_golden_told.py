@@ -1,0 +1,65 @@
+"""Write golden streams of strays whose lasers and times are told (schemas/ARCHIVE.md, 5.4.2 and 5.4.3).
+
+Only their decoding is for ever the same: what they are fitted by is not the same on every machine.
+"""
+
+import json
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from salpcc.stages.lattice.lattice import driven
+from salpcc.stages.lattice.list_motion import redo
+from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.timed_motion import timed_places
+from salpcc.stages.residual_code.message.blended_values import encode_blended
+from salpcc.stages.residual_code.message.field_coder import Points
+from salpcc.stages.strays.stray_coder import encode_strays, plan
+
+TOLD = Path(__file__).parent / "told"
+SENSOR = "pandar64"
+FIRINGS = 60
+
+
+def turn() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of a turn that a car in motion measured, their lasers, and times in ns; a fifth is missing."""
+    sensor, rng = load_sensor(SENSOR), np.random.default_rng(0)
+    laser = np.tile(np.arange(sensor.n_lasers), FIRINGS)
+    firing = np.repeat(np.arange(FIRINGS), sensor.n_lasers)
+    count = np.rint((9.0 + np.sin(firing / 7) + rng.normal(0, 0.01, len(laser))) / sensor.count)
+    still = driven(sensor, laser.astype(np.uint8), (firing * 600).astype(np.int32), count)
+    time = firing * 1_666_667
+    motion = np.array([0.9, -0.05, 0.01, 0.001, -0.002, 0.01])
+    moved = redo(still, timed_places(time, 1.0), motion).astype(np.float32)
+    seen = rng.random(len(laser)) < 0.8
+    return moved[seen], laser[seen].astype(np.uint8), time[seen]
+
+
+def main() -> None:
+    points, laser, time = turn()
+    sensor = load_sensor(SENSOR)
+    halves = points.astype(np.float16).astype(np.float32)
+    wall = 60.0 + 40.0 * np.sign(np.sin(9.0 * np.sqrt((points.astype(float) ** 2).sum(axis=1))))
+    shine = np.rint(wall + np.random.default_rng(1).normal(0, 2, len(wall))).astype(np.int64)
+    around = Points.of(points, 0, sensor).around(1)
+    assert around is not None
+    streams = {
+        "moved": encode_strays(np.arange(len(points)), plan(points, 0.0, sensor, lanes=laser, times=time)),
+        "timed": encode_strays(np.arange(len(points)), plan(halves, 0.0, lanes=laser, times=time)),
+        "blended": encode_blended(shine, around),
+    }
+    expected: dict[str, object] = {
+        "n": len(points),
+        "moved": [streams["moved"][4], zlib.crc32(points.tobytes())],
+        "timed": [streams["timed"][4], zlib.crc32(halves.tobytes())],
+        "blended": zlib.crc32(shine.tobytes()),
+        "time": zlib.crc32(time.astype("<i8").tobytes()),
+    }
+    for name, data in streams.items():
+        (TOLD / f"{name}.bin").write_bytes(data)
+    (TOLD / "expected.json").write_text(json.dumps(expected) + "\n")
+
+
+if __name__ == "__main__":
+    main()
