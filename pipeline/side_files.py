@@ -94,7 +94,7 @@ def read_side(ref: SideRef) -> bytes:
     try:
         return location(ref.path).read_bytes()
     except OSError as error:
-        raise SourceError(f"{ref.path}: {why(error)}") from error
+        raise SourceError(f"{ref.path}: {why(error)}; --no-side-files leaves such files out") from error
 
 
 def side_files(refs: Iterable[SideRef]) -> Iterator[SideFile]:
