@@ -24,7 +24,7 @@ from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, sta
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.ring_starts import ring_starts
 
-FORM = 1
+PLAIN, BY_CLASS = 1, 2  # forms: of themselves; given the classes, which each label has one of
 _HEAD = struct.Struct("<BII")  # form, CRC-32 of the labels, how many there are
 _WORD = struct.Struct("<I")
 _NEAREST = 500  # counts added to every range, so that near points do not look far apart
@@ -68,6 +68,8 @@ def _walk(
     starts: NDArray[np.int64],
     tick: NDArray[np.int64],
     reach: NDArray[np.int64],
+    of_point: NDArray[np.uint8],
+    of_label: NDArray[np.uint8],
     place: NDArray[np.int64],
     bits: int,
     data: NDArray[np.uint8],
@@ -77,6 +79,8 @@ def _walk(
     Args:
         starts: of the rings.
         tick, reach: azimuth ticks and ranges in counts, above 0, ``(M,)``.
+        of_point, of_label: the class of each point ``(M,)`` and of each label in the list; a neighbour whose label is of
+            another class has no vote.
         bits: of a place.
         data: room for what is written, or what is read.
 
@@ -95,6 +99,9 @@ def _walk(
         np.empty(_NEIGHBOURS, np.int64),
         np.empty(_NEIGHBOURS, np.int64),
     )
+    sole = np.full(256, -1)  # by class the only label that it has
+    for label in range(len(of_label)):
+        sole[of_label[label]] = label if sole[of_label[label]] == -1 else -2
     above = above_end = second = second_end = 0
     for ring in range(len(starts) - 1):
         begin, end = starts[ring], starts[ring + 1]
@@ -103,6 +110,9 @@ def _walk(
         j, h = above, second
         for i in range(begin, end):
             j, h = _nearest(tick, i, j, above_end), _nearest(tick, i, h, second_end)
+            if sole[of_point[i]] >= 0:
+                place[i] = sole[of_point[i]]
+                continue
             n = total = left = up = 0
             apart_left = apart_up = 3
             for which in range(_NEIGHBOURS):
@@ -123,6 +133,8 @@ def _walk(
                 if not there:
                     continue
                 apart, label = _apart(reach[i], reach[at]), place[at]
+                if label >= len(of_label):
+                    return -1
                 if which == 0:
                     apart_left = 3 if tick[i] - tick[at] > _GAP else apart
                     left, vote = min(label + 1, _SHOWN - 1), 9 - 2 * apart_left
@@ -132,6 +144,8 @@ def _walk(
                     vote = (5 if which == 2 else 4) - apart
                 else:
                     vote = 3 - apart // 2
+                if of_label[label] != of_point[i]:
+                    continue
                 total += vote
                 m = 0
                 while m < n and known[m] != label:
@@ -198,19 +212,38 @@ def encode_labels(sweep: Sweep, sensor: SensorModel) -> bytes:
     listed, place, times = np.unique(labels, return_inverse=True, return_counts=True)
     order = np.argsort(-times, kind="stable")
     listed, place = listed[order], np.argsort(order)[place]
+    of_label, form = np.zeros(len(listed), np.uint8), PLAIN
+    if sweep.classes is not None and sweep.stray_classes is not None:
+        classes = np.concatenate([sweep.classes, sweep.stray_classes])
+        of_label[place] = classes
+        form = BY_CLASS if (of_label[place] == classes).all() else PLAIN
+    if form == PLAIN:
+        of_label[:] = 0
+    parts = np.split(place, [len(sweep.labels)])
     first, second = (
-        _coded(run, of, _bits(len(listed)))
-        for run, of in zip(_runs(sweep, sensor), np.split(place, [len(sweep.labels)]), strict=True)
+        _coded(run, of_point, of_label, of)
+        for run, of_point, of in zip(_runs(sweep, sensor), _classes(sweep, form), parts, strict=True)
     )
-    head = _HEAD.pack(FORM, zlib.crc32(labels.astype("<u4").tobytes()), len(listed))
-    body = head + listed.astype("<u4").tobytes() + _WORD.pack(len(first)) + first + second
+    head = _HEAD.pack(form, zlib.crc32(labels.astype("<u4").tobytes()), len(listed))
+    body = head + listed.astype("<u4").tobytes() + (of_label.tobytes() if form == BY_CLASS else b"")
+    body += _WORD.pack(len(first)) + first + second
     return body + _WORD.pack(zlib.crc32(body))
 
 
-def _coded(run: _Run, place: NDArray[np.int64], bits: int) -> bytes:
-    return (
-        run_encoder(lambda out: int(_walk(False, *run, place, bits, out)), len(place)) if len(place) else b""
-    )
+def _classes(sweep: Sweep, form: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The classes of returns and strays that the labels are coded by; zeros where by none."""
+    if form == BY_CLASS and sweep.classes is not None and sweep.stray_classes is not None:
+        return sweep.classes, sweep.stray_classes
+    return np.zeros(len(sweep.laser), np.uint8), np.zeros(len(sweep.stray_index), np.uint8)
+
+
+def _coded(
+    run: _Run, of_point: NDArray[np.uint8], of_label: NDArray[np.uint8], place: NDArray[np.int64]
+) -> bytes:
+    if not len(place):
+        return b""
+    bits = _bits(len(of_label))
+    return run_encoder(lambda out: int(_walk(False, *run, of_point, of_label, place, bits, out)), len(place))
 
 
 def decode_labels(data: bytes, sweep: Sweep, sensor: SensorModel) -> tuple[Labels, Labels]:
@@ -219,19 +252,22 @@ def decode_labels(data: bytes, sweep: Sweep, sensor: SensorModel) -> tuple[Label
     Raises:
         ArchiveError: the data are damaged, or are of another scan.
     """
-    n = check_labels(data)
+    form, n = check_labels(data)
+    if form == BY_CLASS and sweep.classes is None:
+        raise ArchiveError("labels are coded by classes, and there are none")
     at = _HEAD.size + 4 * n
     listed = np.frombuffer(data, "<u4", n, _HEAD.size).astype(np.uint32)
+    of_label = np.zeros(n, np.uint8)
+    if form == BY_CLASS:
+        of_label = np.frombuffer(data, np.uint8, n, at).copy()
+        at += n
     (length,) = _WORD.unpack_from(data, at)
     at += _WORD.size
     streams = data[at : at + length], data[at + length : -_WORD.size]
     found = []
-    for run, stream in zip(_runs(sweep, sensor), streams, strict=True):
-        place = np.zeros(len(run[1]), np.int64)
-        sound = (
-            not len(place)
-            or _walk(True, *run, place, _bits(n), np.frombuffer(bytearray(stream), np.uint8)) == 0
-        )
+    for run, of_point, stream in zip(_runs(sweep, sensor), _classes(sweep, form), streams, strict=True):
+        place, coded = np.zeros(len(run[1]), np.int64), np.frombuffer(bytearray(stream), np.uint8)
+        sound = not len(place) or _walk(True, *run, of_point, of_label, place, _bits(n), coded) == 0
         if not sound or place.max(initial=-1) >= n:
             raise ArchiveError("labels do not decode")
         found.append(listed[place])
@@ -252,8 +288,8 @@ def labelled(sweep: Sweep, labels: bytes, sensor: SensorModel) -> Sweep:
     return replace(sweep, labels=on, stray_labels=off)
 
 
-def check_labels(data: bytes) -> int:
-    """Check coded labels as they lie in the file, without decoding them; return how many different ones there are.
+def check_labels(data: bytes) -> tuple[int, int]:
+    """Check coded labels as they lie in the file, without decoding them; return their form, and how many different ones there are.
 
     Raises:
         ArchiveError: they are damaged, or of a form that this version does not know.
@@ -263,12 +299,12 @@ def check_labels(data: bytes) -> int:
     if zlib.crc32(data[: -_WORD.size]) != _WORD.unpack_from(data, len(data) - _WORD.size)[0]:
         raise ArchiveError("labels are damaged (checksum differs)")
     form, _, n = _HEAD.unpack_from(data)
-    if form != FORM:
-        raise ArchiveError(f"labels are of form {form}, this tool reads {FORM}")
-    at = _HEAD.size + 4 * n
+    if form not in (PLAIN, BY_CLASS):
+        raise ArchiveError(f"labels are of form {form}, this tool reads {PLAIN} and {BY_CLASS}")
+    at = _HEAD.size + (5 if form == BY_CLASS else 4) * n
     if at + 2 * _WORD.size > len(data) or at + 2 * _WORD.size + _WORD.unpack_from(data, at)[0] > len(data):
         raise ArchiveError("labels have a header that cannot be")
-    return int(n)
+    return int(form), int(n)
 
 
 def _bits(n: int) -> int:

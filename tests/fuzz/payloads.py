@@ -143,7 +143,11 @@ def _read_movable(which: int, data: bytes, folder: Path) -> None:
 
 
 def _labels(folder: Path) -> list[bytes]:
-    _statics[folder] = [_labelled(), *_parts((None, None)), *_parts((0.02, 0.02))]
+    plain = _labelled()
+    assert plain.labels is not None and plain.stray_labels is not None
+    of = [(labels % 5).astype(np.uint8) for labels in (plain.labels, plain.stray_labels)]
+    classes = replace(plain, classes=of[0], stray_classes=of[1])
+    _statics[folder] = [plain, classes, *_parts((None, None)), *_parts((0.02, 0.02))]
     return [encode_labels(sweep, SENSOR) for sweep in _statics[folder]]
 
 

@@ -29,6 +29,7 @@ from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_gop, encode_layers
+from salpcc.stages.residual_code.label_coder import encode_labels, labelled
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 from salpcc.stages.segment.stage import without_classes
@@ -346,6 +347,12 @@ def test_redaction_by_the_classes_of_labels(whole: Path, tmp_path: Path, root: P
     for old, layer, (new, other) in zip(reader.payloads(0), reader.movable_payloads(0), coded, strict=True):
         movable = replace(layer, data=other.data, entry=layer.entry.of_sizes(other.sizes))
         bare[0].append(replace(old, data=new.data, entry=old.entry.of_sizes(new.sizes), movable=movable))
+    for payload, *sweeps in zip(bare[0], statics, moving, strict=True):
+        found = []
+        for one, sweep in zip((payload, payload.movable), sweeps, strict=True):
+            labels = encode_labels(without_classes(labelled(sweep, one.labels, sensor)), sensor)
+            found.append(replace(one, labels=labels, entry=replace(one.entry, labels=len(labels))))
+        bare[0][bare[0].index(payload)] = replace(found[0], movable=found[1])
     write_archive(tmp_path / "b.mcap", reader.facts, bare)
     redact(tmp_path / "b.mcap", tmp_path / "c.mcap", Choice(classes=("car",)))
     with Archive.open(tmp_path / "c.mcap") as archive:

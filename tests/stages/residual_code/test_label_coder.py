@@ -67,6 +67,22 @@ def test_scans_of_nothing_and_of_strays_only(sweep, make_scan, sensor) -> None:
     assert len(comes_back(strays, np.repeat(rng.integers(0, 2**32, 5, np.uint32), 100), sensor)) < 150
 
 
+def test_classes_that_are_known_are_not_told_again(sweep, sensor) -> None:
+    """A label that is all there is of its class costs nothing; one of several classes is coded without them."""
+    rng = np.random.default_rng(2)
+    classes = rng.integers(0, 20, len(sweep)).astype(np.uint8)
+    on, off = np.split(classes, [len(sweep.laser)])
+    known = replace(sweep, classes=on, stray_classes=off)
+    labels = classes.astype(np.uint32) * 7 | 1 << 20
+    assert len(comes_back(known, labels, sensor)) < len(comes_back(sweep, labels, sensor)) / 3
+    coded = comes_back(known, rng.integers(0, 3, len(sweep)).astype(np.uint32), sensor)
+    assert coded[0] == 1
+    with pytest.raises(ArchiveError, match="there are none"):
+        decode_labels(
+            comes_back(known, labels, sensor), replace(sweep, classes=None, stray_classes=None), sensor
+        )
+
+
 def test_labels_that_never_change_take_next_to_nothing(sweep, sensor) -> None:
     assert len(comes_back(sweep, np.full(len(sweep), 0x00070028, np.uint32), sensor)) < 60
 
