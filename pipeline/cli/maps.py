@@ -48,6 +48,12 @@ def map_(
             "registers them. [default: odometry]",
         ),
     ] = None,
+    labels: Annotated[
+        Literal["given", "network"],
+        typer.Option(
+            help="Who says what can move: the archive, or the network where the archive does not; it takes as long as encoding."
+        ),
+    ] = "given",
     refine_poses: Annotated[
         Literal["auto", "no"],
         typer.Option(
@@ -102,6 +108,8 @@ def map_(
 ) -> None:
     """Build a clean map from decoded scans."""
     require("map", "map")
+    if labels == "network":
+        require("segment", "map --labels network")
     from salpcc.pipeline.mapping.make_map import make_map
     from salpcc.pipeline.mapping.map_export import FORMATS
     from salpcc.pipeline.mapping.map_request import MapRequest
@@ -116,6 +124,7 @@ def map_(
             {
                 "voxel": voxel,
                 "max_range": max_range,
+                "labels": labels,
                 "refine_poses": refine_poses == "auto",
                 "keep_movable": keep_movable,
                 "carve": carve,

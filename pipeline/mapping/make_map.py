@@ -15,6 +15,7 @@ from salpcc.pipeline.lock import locked
 from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
 from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
 from salpcc.pipeline.mapping.map_request import MapRequest
+from salpcc.pipeline.mapping.map_scans import unclassified
 from salpcc.pipeline.mapping.map_steps import build_all, gather_all, score_all, track_all
 from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.mapping.map_tiles import TileResult
@@ -30,6 +31,7 @@ from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 VERSION = 4  # 2: LAZ of one unit of intensity; 3: de-skewed, poses refined; 4: carving weighs what was met
 NO_CLASSES = "no classes in it, so nothing tells what is movable; encode it without --keep-movable, or with --labels given"
+ASK = "ask the network with --labels network"
 
 
 def make_map(request: MapRequest) -> dict[str, Any]:
@@ -58,9 +60,9 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         steps = (4 if refs is not None else 3) * plan.n_scans
         watch = nullcontext(Silent()) if request.quiet else bar(steps, "scans read, placed or built")
         report: Report = stack.enter_context(watch)
-        unclassified = _unclassified(request)
-        if unclassified:
-            report.say(f"{', '.join(unclassified)}: {NO_CLASSES}")
+        untold = _untold(request)
+        if untold:
+            report.say(f"{', '.join(untold)}: {NO_CLASSES}, or {ASK}")
         found, track_ms = track_all(client, plan, request, report)
         submaps = gather_all(client, plan, found, request, report)
         tiles = build_all(client, plan, submaps, request, report)
@@ -69,27 +71,26 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         if refs is not None:
             groups = list(zip(plan.groups, refs, strict=True))
             rows = score_all(client, plan, groups, found, tiles, request, report, cpu_s)
-            if len(unclassified) == len(request.archives):  # they dropped nothing: that was not measured
+            if len(untold) == len(request.archives):  # they dropped nothing: that was not measured
                 rows = [row for row in rows if row["cleaner"] != CLASSES_ONLY]
         write_whole(request, plan, store, tiles, found.poses, rows)
         summary = _summary(request, plan, inputs, started, found, track_ms, submaps, tiles)
-        summary |= {"quality": rows, "archives_without_classes": unclassified}
+        summary |= {"quality": rows, "archives_without_classes": untold}
         with atomic(request.out / "map.json") as stream:
             stream.write(json.dumps(summary, indent=1).encode() + b"\n")
         if not request.keep_shards:
             for sequence in {plan.sequence, *(group.sequence for group in plan.groups)}:
-                store.drop_sequence(sequence, ("thinned", "track", "submap", "views", "tile", "truth"))
+                store.drop_sequence(
+                    sequence, ("classes", "thinned", "track", "submap", "views", "tile", "truth")
+                )
     return summary
 
 
-def _unclassified(request: MapRequest) -> list[str]:
+def _untold(request: MapRequest) -> list[str]:
     """The archives that do not say what is movable, where that is to be taken out."""
-    if request.config.keep_movable:
+    if request.config.keep_movable or request.config.labels == "network":
         return []
-    readers = [ArchiveReader(path) for path in request.archives]
-    return [
-        str(reader.path) for reader in readers if reader.movable == "one layer" and not reader.has_classes
-    ]
+    return [str(path) for path in request.archives if unclassified(ArchiveReader(path))]
 
 
 def _summary(

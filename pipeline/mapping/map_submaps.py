@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.archive import decode_scans
 from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_plan import Group
+from salpcc.pipeline.mapping.map_scans import content_of, scans_of
 from salpcc.pipeline.mapping.map_store import (
     ENTRIES,
     entries_to_batch,
@@ -19,7 +19,6 @@ from salpcc.pipeline.mapping.map_store import (
     whole_metres,
     write_blocks,
 )
-from salpcc.pipeline.mapping.map_track import content_of
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.mapping.config import MapConfig
@@ -61,7 +60,7 @@ def gather_group(
         ArchiveError: a payload is damaged; the message names the scan.
     """
     store = ShardStore(out)
-    reader, layers, content = content_of(group, config)
+    content = content_of(group, config)
     relevant = {
         k: v for k, v in config.model_dump().items() if k not in ("keep_movable", "fill", "refine_poses")
     }
@@ -71,8 +70,7 @@ def gather_group(
     if not (store.has(entries) and store.has(views)):
         started = time.process_time()
         placed = np.array(poses).reshape(-1, 4, 4)
-        scans = decode_scans(reader, group.gop, layers)
-        submap = gather(scans, placed, np.array(motions).reshape(-1, 6), config)
+        submap = gather(scans_of(group, config, store), placed, np.array(motions).reshape(-1, 6), config)
         corner = whole_metres(placed[0, :3, 3])
         blocks = blocks_of(submap.voxels.xyz, config.tile)
         store.write(views, views_to_table(submap.views), {"stage": "views", "stage_version": VERSION})

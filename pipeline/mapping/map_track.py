@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -14,9 +13,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.pipeline.archive import Layers, decode_scans
 from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_plan import Group
+from salpcc.pipeline.mapping.map_scans import content_of, scans_of
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.scan import Scan
@@ -27,7 +26,6 @@ from salpcc.stages.mapping.deskew import motions_of, turns_before
 from salpcc.stages.mapping.gather import standing
 from salpcc.stages.mapping.odometry import Registered, Thinned, follow, thin
 from salpcc.stages.mapping.refine import PoseCheck, candidates, choose, residual, spots_of
-from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 F64 = NDArray[np.float64]
 
@@ -68,16 +66,6 @@ class Track:
         return tuple(self.poses[scans].ravel().tolist()), tuple(self.motions[scans].ravel().tolist())
 
 
-def content_of(group: Group, config: MapConfig) -> tuple[ArchiveReader, Layers, list[int]]:
-    """Open a group's archive; tell which layers of it a map takes, and the checksums of what will be decoded."""
-    reader = ArchiveReader(group.archive)
-    layers: Layers = "static" if reader.movable == "layered" and not config.keep_movable else "all"
-    payloads = reader.payloads(group.gop)
-    if layers == "all":
-        payloads += reader.movable_payloads(group.gop)
-    return reader, layers, [zlib.crc32(payload.data) for payload in payloads]
-
-
 def prepare_group(group: Group, config: MapConfig, out: Path) -> Prepared:
     """Decode a group of scans and thin what stands still of them, unless its shard is there.
 
@@ -85,14 +73,14 @@ def prepare_group(group: Group, config: MapConfig, out: Path) -> Prepared:
         ArchiveError: a payload is damaged; the message names the scan.
     """
     store = ShardStore(out)
-    reader, layers, content = content_of(group, config)
+    content = content_of(group, config)
     reach = (config.min_range, config.max_range)
     digest = digest_of(VERSION, content, group.sequence, group.names, group.numbers, reach)
     ref = store.ref(group.sequence, "thinned", group.number, digest)
     if not store.has(ref):
         started = time.process_time()
         columns, sizes, motions = [], [], []
-        for scan in decode_scans(reader, group.gop, layers):
+        for scan in scans_of(group, config, store):
             columns.append(_thinned(scan, config))
             sizes.append(len(columns[-1]))
             motions.append(None if scan.motion is None else scan.motion.tolist())

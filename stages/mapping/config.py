@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, ConfigDict, Field
 
 from salpcc.schemas.work import digest_of
@@ -15,6 +17,9 @@ class MapConfig(BaseModel):
     voxel: float = Field(0.1, ge=0.01, le=10)
     min_range: float = Field(2.0, ge=0, description="nearer points are the own car")
     max_range: float = Field(80.0, gt=0, le=500)
+    labels: Literal["given", "network"] = Field(
+        "given", description="who says what is movable where an archive does not"
+    )
     refine_poses: bool = Field(True, description="refine given poses where scans fit one another better so")
     keep_movable: bool = Field(False, description="keep what the classes call movable")
     carve: bool = Field(True, description="take out what several scans look through")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.config import RunConfig
+from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
@@ -38,6 +39,34 @@ def label_gop(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -
 
 
 def _by_network(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig) -> list[Sweep]:
+    scans = (sweep_to_scan(sweep, sensor) for sweep in sweeps)
+    motions = [sweep.motion for sweep in sweeps]
+    found = network_classes(
+        scans, joined(sweeps), motions, config.weights, config.device, config.several_scans
+    )
+    return [
+        sweep if sweep.classes is not None else with_classes(sweep, sensor, classes)
+        for sweep, classes in zip(sweeps, found, strict=True)
+    ]
+
+
+def network_classes(
+    scans: Iterable[Scan],
+    follows: Sequence[bool],
+    motions: Sequence[NDArray[np.float64] | None],
+    weights: str,
+    device: str = "cpu",
+    several_scans: bool = True,
+) -> list[NDArray[np.uint8]]:
+    """Ask the network what the points of the scans of a group are; return the classes ``(N,)`` of each.
+
+    Args:
+        follows: whether each scan follows the one before it without a gap, as :func:`joined` tells.
+        motions: each scan's own, or None.
+
+    Raises:
+        WeightsError: its weights cannot be had.
+    """
     # Imported here: a process that asks no network has no use for torch's hundred megabytes.
     from salpcc.stages.segment.checkpoint import load_cached
     from salpcc.stages.segment.objects import judge_objects
@@ -45,18 +74,13 @@ def _by_network(sweeps: Sequence[Sweep], sensor: SensorModel, config: RunConfig)
     from salpcc.stages.segment.segmenter import segment_scan
     from salpcc.stages.segment.several_scans import agree
 
-    network = load_cached(weights_path(config.weights), config.device)
-    scans = (sweep_to_scan(sweep, sensor) for sweep in sweeps)
+    network = load_cached(weights_path(weights), device)
     found = [segment_scan(network, scan.points, scan.intensity) for scan in scans]
     steps: list[NDArray[np.float64] | None] = [None] * len(found)
-    if config.several_scans:
-        steps = steps_between(found, joined(sweeps), [sweep.motion for sweep in sweeps])
+    if several_scans:
+        steps = steps_between(found, follows, motions)
         found = agree(found, steps)
-    found = judge_objects(found, steps)
-    return [
-        sweep if sweep.classes is not None else with_classes(sweep, sensor, one.labels())
-        for sweep, one in zip(sweeps, found, strict=True)
-    ]
+    return [one.labels() for one in judge_objects(found, steps)]
 
 
 def with_classes(sweep: Sweep, sensor: SensorModel, classes: NDArray[np.uint8]) -> Sweep:
@@ -65,7 +89,7 @@ def with_classes(sweep: Sweep, sensor: SensorModel, classes: NDArray[np.uint8]) 
     return replace(sweep, classes=classes[on], stray_classes=classes[off])
 
 
-def joined(sweeps: Sequence[Sweep]) -> list[bool]:
-    """Tell of each sweep whether it follows the one before it without a gap."""
+def joined(sweeps: Sequence[Sweep] | Sequence[Scan]) -> list[bool]:
+    """Tell of each sweep, or scan, whether it follows the one before it without a gap."""
     times = [sweep.time for sweep in sweeps]
     return [k > 0 and 0 < times[k] - times[k - 1] < _LONGEST_STEP for k in range(len(times))]

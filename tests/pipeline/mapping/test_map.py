@@ -23,13 +23,14 @@ from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.encode import encode_scans
 from salpcc.pipeline.graph import GraphOptions
 from salpcc.pipeline.mapping import make_map as map_module
-from salpcc.pipeline.mapping import map_submaps, map_tiles, map_track
+from salpcc.pipeline.mapping import map_scans, map_tiles, map_track
 from salpcc.pipeline.mapping.localise import LocaliseRequest, localise
 from salpcc.pipeline.mapping.make_map import make_map
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError, UsageError
+from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.report.downstream import registration_figures
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.sources import SOURCES
@@ -151,8 +152,7 @@ def test_interrupted_map_goes_on_and_a_made_one_is_left(
         with pytest.raises(OSError, match="disk"):
             make_map(asked)
     with monkeypatch.context() as no_work:
-        no_work.setattr(map_submaps, "decode_scans", None)
-        no_work.setattr(map_track, "decode_scans", None)
+        no_work.setattr(map_scans, "decode_scans", None)
         no_work.setattr(map_track, "follow", None)
         no_work.setattr(map_tiles, "build", None)
         first = make_map(asked)
@@ -303,6 +303,31 @@ def test_a_map_of_an_archive_without_classes_says_so(
         replace(request, out=tmp_path / "kept", config=CONFIG.model_copy(update={"keep_movable": True}))
     )
     assert kept["archives_without_classes"] == []
+
+
+def test_the_network_is_asked_for_an_archive_without_classes(
+    request_: Callable[..., MapRequest],
+    without_classes: Path,
+    archive: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Once for each scan; an archive that says what is movable is believed."""
+    asked = []
+
+    def by_labels(scans: list[Scan], *_: object) -> list[np.ndarray]:
+        asked.extend(scan.name for scan in scans)
+        told = Archive.open(archive)
+        return [told[scan.name].classes for scan in scans]
+
+    monkeypatch.setattr("salpcc.stages.segment.labelling.network_classes", by_labels)
+    config = CONFIG.model_copy(update={"labels": "network"})
+    summary = make_map(request_(tmp_path / "out", archives=[without_classes], config=config))
+    assert sorted(asked) == [f"{k:06d}" for k in range(SCANS)]
+    assert summary["archives_without_classes"] == [] and summary["voxels"]["dropped"] > 1000
+    told = make_map(request_(tmp_path / "told", config=config))
+    assert len(asked) == SCANS
+    assert told["voxels"] == summary["voxels"]
 
 
 @pytest.mark.usefixtures("open3d")
