@@ -92,6 +92,13 @@ def map_(
         str | None,
         typer.Option(metavar="EPSG:…", help="The coordinate system of the poses; it is written into LAZ."),
     ] = None,
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain",
+            help="Write what was removed, too: tiles with reason, witnesses and score, a picture.",
+        ),
+    ] = False,
     against: Annotated[
         Path | None, typer.Option(help="Score the map by the labels of the data that lie here.")
     ] = None,
@@ -145,6 +152,7 @@ def map_(
         formats=wanted,
         against=against,
         crs=crs,
+        explain=explain,
         rivals=[] if rivals == "none" else [name.strip() for name in rivals.split(",")],
         workers=workers,
         scheduler=scheduler,

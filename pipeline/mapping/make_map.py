@@ -151,6 +151,7 @@ def _inputs(request: MapRequest, plan: MapPlan) -> str:
         str(request.against),
         sorted(request.rivals),
         request.crs,
+        request.explain,
     )
 
 

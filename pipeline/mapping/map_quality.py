@@ -128,8 +128,8 @@ def tally_tile(
     counted = batches_to_truth(batches)
     keys, against = np.empty(0, np.int64), np.empty(0, np.uint8)
     if built is not None:
-        voxels, against = read_tile(store, built)
-        keys = keys_of(voxels.xyz, config.voxel)
+        tiled = read_tile(store, built)
+        keys, against = keys_of(tiled.voxels.xyz, config.voxel), tiled.against
     return {name: tally(counted, keys[against & bits == 0], config.voxel) for name, bits in CLEANERS.items()}
 
 

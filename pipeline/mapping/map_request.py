@@ -14,7 +14,8 @@ class MapRequest:
     """What a user asks for: the map, and where and how it is made.
 
     ``poses`` as in :func:`salpcc.pipeline.mapping.map_plan.plan_map`; ``against`` is a data root with labels to
-    score by, ``rivals`` are public cleaners to score beside; ``crs`` names the coordinate system of the poses.
+    score by, ``rivals`` are public cleaners to score beside; ``crs`` names the coordinate system of the poses; ``explain``
+    writes what was removed and why.
     """
 
     archives: list[Path]
@@ -25,6 +26,7 @@ class MapRequest:
     against: Path | None = None
     rivals: list[str] = field(default_factory=list)
     crs: str | None = None
+    explain: bool = False
     workers: int | None = None
     scheduler: str | None = None
     keep_shards: bool = False

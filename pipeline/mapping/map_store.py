@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.work import ShardRef
+from salpcc.stages.mapping.build import Built
 from salpcc.stages.mapping.score import Truth
 from salpcc.stages.mapping.view import COLUMNS, ROWS, View
 from salpcc.stages.mapping.voxel import Voxels
@@ -30,22 +31,34 @@ ENTRIES = pa.schema(
         ("scans", pa.uint16()),
     ]
 )
-TILE = ENTRIES.append(pa.field("against", pa.uint8()))
+_FATE = (("against", pa.uint8()), ("through", pa.uint16()), ("met", pa.uint16()))
+TILE = pa.schema([*ENTRIES, *(pa.field(*column) for column in _FATE)])
 _VIEWS = pa.schema(
     [("pose", pa.list_(pa.float64())), ("shift", pa.list_(pa.float64())), ("clear", pa.binary())]
 )
 TRUTH = pa.schema([("key", pa.int64()), *((kind, pa.int64()) for kind in ("static", "standing", "moving"))])
 
 
-def entries_to_batch(voxels: Voxels, corner: F64, against: NDArray[np.uint8] | None = None) -> pa.RecordBatch:
+def entries_to_batch(voxels: Voxels, corner: F64) -> pa.RecordBatch:
     """Turn entries into columns; inverse: :func:`batch_to_entries`."""
+    return pa.RecordBatch.from_arrays(_columns(voxels, corner), schema=ENTRIES)
+
+
+def built_to_table(built: Built, corner: F64) -> pa.Table:
+    """Turn a tile into columns; inverse: :func:`table_to_built`."""
+    fate = [pa.array(getattr(built, name)) for name, _ in _FATE]
+    return pa.Table.from_arrays([*_columns(built.voxels, corner), *fate], schema=TILE)
+
+
+def table_to_built(table: pa.Table, corner: Sequence[float]) -> Built:
+    """Turn columns back into a tile."""
+    return Built(batch_to_entries(table, corner), *(np.array(table.column(name)) for name, _ in _FATE))
+
+
+def _columns(voxels: Voxels, corner: F64) -> list[pa.Array]:
     local = (voxels.xyz - corner).astype(np.float32)
     columns = [*local.T.copy(), voxels.intensity, voxels.classes, voxels.count, voxels.scans]
-    if against is not None:
-        columns.append(against)
-    return pa.RecordBatch.from_arrays(
-        [pa.array(column) for column in columns], schema=ENTRIES if against is None else TILE
-    )
+    return [pa.array(column) for column in columns]
 
 
 def batch_to_entries(table: pa.RecordBatch | pa.Table, corner: Sequence[float]) -> Voxels:

@@ -8,30 +8,28 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-from numpy.typing import NDArray
 
 from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_export import WRITERS
 from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.mapping.map_store import (
-    TILE,
     batch_to_entries,
-    entries_to_batch,
+    built_to_table,
     read_blocks,
+    table_to_built,
     table_to_views,
 )
 from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.store import ShardStore
 from salpcc.schemas.work import ShardRef, digest_of
-from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT, build
+from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT, Built, build
 from salpcc.stages.mapping.carve import REACH
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.tiles import Tile
 from salpcc.stages.mapping.view import View
 from salpcc.stages.mapping.voxel import Voxels
 
-VERSION = 5  # 5: carving weighs what was met; objects go together
+VERSION = 6  # 5: carving weighs what was met; objects go together; 6: keeps that
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,8 @@ def build_tile(
     if not store.has(ref):
         started = time.process_time()
         corner = tile.corner(config.tile)
-        voxels, against = build(*_read_parts(store, parts, tile, config), config)
+        built = build(*_read_parts(store, parts, tile, config), config)
+        voxels, against = built.voxels, built.against
         facts = {
             "corner": corner.tolist(),
             "kept": int(np.count_nonzero(against == 0)),
@@ -100,7 +99,7 @@ def build_tile(
             "cpu_ms": 1e3 * (time.process_time() - started),
             "peak_mb": peak_mb(),
         }
-        table = pa.Table.from_batches([entries_to_batch(voxels, corner, against)], schema=TILE)
+        table = built_to_table(built, corner)
         store.write(ref, table, {"stage": "tile", "stage_version": VERSION, **facts})
     facts = store.facts(ref)
     figures = {f.name: facts[f.name] for f in fields(TileResult)[2:]}
@@ -113,18 +112,18 @@ def build_tile(
     missing = [(form, path) for form, path in paths if not (fresh and path.is_file())]
     if missing and facts["kept"]:
         started = time.process_time()
-        voxels, against = read_tile(store, ref)
+        built = read_tile(store, ref)
         for form, path in missing:
-            WRITERS[form](voxels[against == 0], tile.corner(config.tile), frame, path)
+            WRITERS[form](built.voxels[built.against == 0], tile.corner(config.tile), frame, path)
         stamp.write_text(written)
         figures["cpu_ms"] += 1e3 * (time.process_time() - started)
     return TileResult(tile, ref, **figures)
 
 
-def read_tile(store: ShardStore, ref: ShardRef) -> tuple[Voxels, NDArray[np.uint8]]:
-    """Read a built tile: all entries, and what speaks against each."""
+def read_tile(store: ShardStore, ref: ShardRef) -> Built:
+    """Read a built tile: all entries, and what became of each."""
     table, facts = store.read(ref)
-    return batch_to_entries(table, facts["corner"]), np.array(table.column("against"))
+    return table_to_built(table, facts["corner"])
 
 
 def _read_parts(

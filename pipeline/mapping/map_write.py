@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from salpcc.pipeline.mapping.map_explain import explain
 from salpcc.pipeline.mapping.map_export import to_mcap
 from salpcc.pipeline.mapping.map_frame import frame_of
 from salpcc.pipeline.mapping.map_plan import F64, MapPlan
@@ -49,6 +50,8 @@ def write_whole(
         )
     else:
         (request.out / "map.mcap").unlink(missing_ok=True)
+    if request.explain:
+        explain(request, plan, store, tiles)
     voxels, against = _sample(store, tiles)
     drawn = pictures(voxels, against, busiest(scans, voxels.xyz, against))
     for name, png in drawn.items():
@@ -63,8 +66,8 @@ def write_whole(
 def _kept(store: ShardStore, tiles: list[TileResult]) -> Iterator[Voxels]:
     for tile in tiles:
         if tile.ref is not None and tile.kept:
-            voxels, against = read_tile(store, tile.ref)
-            yield voxels[against == 0]
+            built = read_tile(store, tile.ref)
+            yield built.voxels[built.against == 0]
 
 
 def _sample(store: ShardStore, tiles: list[TileResult]) -> tuple[Voxels, NDArray[np.uint8]]:
@@ -74,9 +77,9 @@ def _sample(store: ShardStore, tiles: list[TileResult]) -> tuple[Voxels, NDArray
     parts, fates = [], [np.empty(0, np.uint8)]
     for tile in tiles:
         if tile.ref is not None:
-            voxels, against = read_tile(store, tile.ref)
-            parts.append(voxels[::every])
-            fates.append(against[::every])
+            built = read_tile(store, tile.ref)
+            parts.append(built.voxels[::every])
+            fates.append(built.against[::every])
     return Voxels.together(parts), np.concatenate(fates)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.mapping.carve import contradicted
+from salpcc.stages.mapping.carve import contradicted, evidence
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.fill import fill_ground
 from salpcc.stages.mapping.objects import rest_of_objects
@@ -16,19 +18,35 @@ from salpcc.stages.mapping.voxel import Voxels, fuse
 CARVED, DROPPED, OBJECT = 1, 2, 4  # seen through; of a movable class; among what is
 
 
-def build(voxels: Voxels, views: list[View], config: MapConfig) -> tuple[Voxels, NDArray[np.uint8]]:
-    """Fuse entries of several submaps in the map's frame; return all, and what speaks against each ``(M,)``.
+@dataclass(frozen=True, eq=False)
+class Built:
+    """All entries of a tile, and what became of them; what was filled in comes last.
 
-    What is filled in comes last.
+    Attributes:
+        against: ``(M,)`` uint8, what speaks against each, as bits.
+        through, met: ``(M,)`` uint16, the scans that looked through it, and those whose view ended there.
     """
+
+    voxels: Voxels
+    against: NDArray[np.uint8]
+    through: NDArray[np.uint16]
+    met: NDArray[np.uint16]
+
+
+def build(voxels: Voxels, views: list[View], config: MapConfig) -> Built:
+    """Fuse entries of several submaps in the map's frame, and find what speaks against each."""
     fused = fuse(voxels, config.voxel)
     against = np.zeros(len(fused), np.uint8)
-    if config.carve:
-        against[contradicted(fused, views)] |= CARVED
+    through, met = evidence(fused.xyz, views if config.carve else [])
+    against[contradicted(fused, through, met)] |= CARVED
     if not config.keep_movable:
         against[fused.movable] |= DROPPED
         against[rest_of_objects(fused)] |= OBJECT
-    if not config.fill:
-        return fused, against
-    filled = fill_ground(fused[against == 0])
-    return Voxels.together([fused, filled]), np.concatenate([against, np.zeros(len(filled), np.uint8)])
+    filled = fill_ground(fused[against == 0]) if config.fill else fused[:0]
+    none = np.zeros(len(filled), np.uint16)
+    return Built(
+        Voxels.together([fused, filled]),
+        np.concatenate([against, none.astype(np.uint8)]),
+        np.concatenate([through.astype(np.uint16), none]),
+        np.concatenate([met.astype(np.uint16), none]),
+    )

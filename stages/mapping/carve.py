@@ -29,9 +29,8 @@ _IS_GROUND = np.zeros(256, np.bool_)
 _IS_GROUND[: len(GROUP_OF_CLASS)] = GROUP_OF_CLASS == GROUND
 
 
-def contradicted(voxels: Voxels, views: list[View]) -> NDArray[np.bool_]:
-    """Mark the entries ``(M,)`` that enough views looked through. Places are in the frame of the views' poses."""
-    through, met = evidence(voxels.xyz, views)
+def contradicted(voxels: Voxels, through: NDArray[np.int32], met: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Mark the entries ``(M,)`` that enough views looked through, by :func:`evidence`."""
     needed = np.maximum(_FEWEST, np.ceil(_SHARE * voxels.scans))
     return np.asarray((through >= needed) & (through >= _PER_MEETING * met) & ~lies_on_ground(voxels))
 

@@ -68,6 +68,13 @@ def pictures(voxels: Voxels, against: NDArray[np.uint8], place: Place) -> dict[s
     return out
 
 
+def removed_picture(voxels: Voxels, against: NDArray[np.uint8]) -> bytes:
+    """Draw a PNG of what was removed, from above, x to the right: orange what was seen through, red what its class told."""
+    colour = np.where(against & CARVED, _ORANGE, _RED).astype(np.uint8)
+    middle = np.median(voxels.xyz, axis=0) if len(voxels) else np.zeros(3)
+    return _png(_above(voxels.xyz - middle, colour))
+
+
 def _above(local: F64, colour: Index) -> Index:
     """Paint from above, driving direction to the right, the highest in front; marks go over all."""
     column = np.floor(local[:, 0] / _PER_PIXEL + WIDTH / 2).astype(np.int64)

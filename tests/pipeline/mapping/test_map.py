@@ -135,6 +135,25 @@ def test_map_of_the_decoded_is_map_of_the_originals(archive: Path, root: Path, p
     assert np.array_equal(originals.voxels.count, decoded.voxels.count)
 
 
+def test_what_was_removed_says_why(
+    request_: Callable[..., MapRequest], made: Path, root: Path, tmp_path: Path
+) -> None:
+    """Every entry that is not in the map is in its tiles, with a reason and the scans that speak for and against it."""
+    shutil.copytree(made / "shards", tmp_path / "shards")
+    summary = make_map(request_(tmp_path, explain=True))
+    removed = [laspy.read(path) for path in sorted((tmp_path / "removed").glob("*.laz"))]
+    reason, through, met, score = (
+        np.concatenate([np.asarray(las[name]) for las in removed])
+        for name in ("reason", "through", "met", "score")
+    )
+    assert np.count_nonzero(reason & 1) == summary["voxels"]["carved"] > 0
+    assert np.count_nonzero(reason & 6) == summary["voxels"]["dropped"] > 0
+    seen_through = reason & 1 == 1
+    assert (through[seen_through] >= 2).all() and (through >= 2 * met)[seen_through].all()
+    assert (score[seen_through] > 0.6).all() and (score[~seen_through] == 1).all()
+    assert (tmp_path / "pictures" / "removed.png").stat().st_size > 1000
+
+
 def test_tiles_do_not_change_the_map(request_: Callable[..., MapRequest], tmp_path: Path) -> None:
     one = make_map(request_(tmp_path / "a", config=CONFIG.model_copy(update={"tile": 200.0})))
     many = make_map(request_(tmp_path / "b"))

@@ -43,10 +43,14 @@ def drive(things: list[list[tuple[float, float]]], step: float = 1.6) -> tuple[V
     return fuse(Voxels.together(parts), 0.1), views
 
 
+def carved(voxels: Voxels, views: list) -> np.ndarray:
+    return contradicted(voxels, *evidence(voxels.xyz, views))
+
+
 def test_a_passer_by_goes_and_a_post_stays() -> None:
     post = (4.0, 8.0)
     voxels, views = drive([[post, (5.0, -6.0)], [post], [post], [post], [post]])
-    gone = contradicted(voxels, views)
+    gone = carved(voxels, views)
     by = np.linalg.norm(voxels.xyz[:, :2] - [5.0, -6.0], axis=1) < 1.0
     assert by.sum() > 100 and gone[by].mean() > 0.8
     assert gone[~by].mean() < 0.01
@@ -54,14 +58,14 @@ def test_a_passer_by_goes_and_a_post_stays() -> None:
 
 def test_one_view_against_it_is_not_enough() -> None:
     voxels, views = drive([[(5.0, -6.0)], []])
-    assert not contradicted(voxels, views).any()
+    assert not carved(voxels, views).any()
 
 
 def test_what_most_scans_met_stays() -> None:
     voxels, views = drive([[(5.0, -6.0)]] * 6 + [[]] * 2, step=0.0)
     by = np.linalg.norm(voxels.xyz[:, :2] - [5.0, -6.0], axis=1) < 1.0
     often = by & (voxels.scans >= 5)
-    assert often.any() and not contradicted(voxels, views)[often].any()
+    assert often.any() and not carved(voxels, views)[often].any()
 
 
 def test_what_views_also_end_at_stays() -> None:
@@ -70,7 +74,7 @@ def test_what_views_also_end_at_stays() -> None:
     by = np.linalg.norm(voxels.xyz[:, :2] - [5.0, -6.0], axis=1) < 1.0
     through, met = evidence(voxels.xyz[by], views)
     assert (through >= 3).mean() > 0.8 and (met >= 2).mean() > 0.8
-    gone = contradicted(replace(voxels, scans=np.ones_like(voxels.scans)), views)
+    gone = carved(replace(voxels, scans=np.ones_like(voxels.scans)), views)
     assert gone[by].mean() < 0.05
 
 
@@ -79,7 +83,7 @@ def test_what_is_called_ground_but_stands_above_it_is_carved() -> None:
     by = np.linalg.norm(voxels.xyz[:, :2] - [5.0, -6.0], axis=1) < 1.0
     classes = voxels.classes.copy()
     classes[by] = ROAD
-    gone = contradicted(replace(voxels, classes=classes), views)
+    gone = carved(replace(voxels, classes=classes), views)
     low = by & (voxels.xyz[:, 2] < voxels.xyz[by, 2].min() + 0.1)
     assert not gone[low].any() and gone[by & ~low & (voxels.xyz[:, 2] > 0)].mean() > 0.8
 
