@@ -17,7 +17,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 REFERENCES = (1.0, 0.5, 0.0)
 _ROUNDS = 3
 _FEWEST_TIMES = 50
-_SAMPLE, _FEW = 20_000, 1000  # points
+_SOLVED, _SAMPLE, _FEW = 24_000, 20_000, 1000  # points
 _MOST_ALIASES = 64
 _BETTER = 0.7  # times as far from the lattice, and a yaw is another
 _CLOSER = 0.5  # of the distance from the lattice that a motion leaves
@@ -45,15 +45,19 @@ def find_timed_motion(
         seen = (np.abs(points) < 1e4).all(axis=1) & (np.abs(points).max(axis=1) > 0)
     wide = points[seen].astype(np.float64)
     number = aim(sensor, wide)[0] if laser is None else laser[seen].astype(np.int64)
+    few = np.sort(np.random.default_rng(0).permutation(len(wide))[:_SOLVED])
+    lasers = int(number.max(initial=0)) + 1
     best: tuple[float, F64, float] | None = None
     for reference in REFERENCES:
         s = timed_places(time, reference)[seen]
-        found = solve(wide, number, s, int(number.max(initial=0)) + 1, sensor.ticks_per_turn, sensor.count)
+        found = solve(wide[few], number[few], s[few], lasers, sensor.ticks_per_turn, sensor.count)
         if found is None:
             continue
         motion, off = onto_lattice(sensor, wide, s, _yawed(sensor, wide, s, found.motion))
         if best is None or off < best[0]:
             best = off, motion, reference
+            if off < 0.5 * _STILL:  # no other reference is nearer
+                break
     before = float(np.median(aim(sensor, wide)[3]))
     if best is None or best[0] > min(_CLOSER * before, _ON_LATTICE):
         return None
