@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +19,7 @@ from salpcc.pipeline.archive import Archive, Layers
 from salpcc.pipeline.held_poses import held_poses
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import read_at
-from salpcc.schemas.labels import CLASSES
+from salpcc.schemas.labels import CLASSES, classes_of_labels
 from salpcc.schemas.messages import COMPRESSED
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sources.bag import Bag
@@ -53,8 +54,8 @@ class Palette:
             "height": self._ramp("height", scan.points[:, 2]),
             "intensity": self._ramp("intensity", scan.intensity),
         }
-        if scan.classes is not None:
-            found["class"] = np.array([c.colour for c in CLASSES], np.uint8)[scan.classes]
+        if (classes := _classes(scan)) is not None:
+            found["class"] = np.array([c.colour for c in CLASSES], np.uint8)[classes]
         if scan.movable is not None:
             found["layer"] = np.array([_STATIC, _MOVABLE], np.uint8)[scan.movable.astype(np.intp)]
         return found
@@ -68,6 +69,14 @@ class Palette:
         place = np.clip(np.nan_to_num((values - low) / (high - low)), 0, 1) * (len(_RAMP) - 1)
         steps = np.arange(len(_RAMP))
         return np.column_stack([np.interp(place, steps, _RAMP[:, c]) for c in range(3)]).astype(np.uint8)
+
+
+def _classes(scan: Scan) -> NDArray[np.uint8] | None:
+    """The classes of a scan, or those of its labels where they are of SemanticKITTI."""
+    if scan.classes is None and scan.labels is not None:
+        with suppress(ValueError):  # labels of another kind
+            return classes_of_labels(scan.labels)
+    return scan.classes
 
 
 def scans_of(path: Path, layers: Layers, frames: tuple[int, int] | None) -> Iterator[Scan]:

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,10 @@ def test_colours_tell_what_is_known(archive: Path) -> None:
     limits = dict(palette.limits)
     palette.of(moving(9, None))
     assert palette.limits == limits  # the first scan settles them
+    labels = np.array([10, 40 | 7 << 16], np.uint32)
+    labelled = replace(moving(0, None), labels=labels)
+    assert Palette().of(labelled)["class"].tolist() == [list(CLASSES[c].colour) for c in (1, 9)]
+    assert "class" not in Palette().of(replace(labelled, labels=labels + 9999))
     nothing = Palette().of(Scan("a", np.full((3, 3), np.nan, np.float32), np.zeros(3, np.float32)))
     assert set(nothing) == {"height", "intensity"} and nothing["height"].shape == (3, 3)
 
