@@ -12,7 +12,7 @@ from salpcc.stages.entropy.walks import code_bit, code_tree, failed, finish_code
 
 @uncounted
 def _walk(
-    decoding: bool,
+    writing: bool,
     state: NDArray[np.int64],
     now: NDArray[np.uint8],
     before: NDArray[np.uint8],
@@ -22,14 +22,14 @@ def _walk(
     same = 1
     for i in range(len(now)):
         expected = np.int64(before[i]) if i < len(before) else 0
-        same = code_bit(decoding, state, buffer, bits, 256 + same, 1 if now[i] == expected else 0)
+        same = code_bit(writing, state, buffer, bits, 256 + same, 1 if now[i] == expected else 0)
         value = expected
         if same == 0:
-            value = code_tree(decoding, state, buffer, bits, 0, 8, now[i])
+            value = code_tree(writing, state, buffer, bits, 0, 8, now[i])
         now[i] = value
         if failed(state):
             break
-    return finish_coder(decoding, state, buffer)
+    return finish_coder(writing, state, buffer)
 
 
 def encode_bytes(now: bytes, before: bytearray) -> bytes:
@@ -42,7 +42,7 @@ def encode_bytes(now: bytes, before: bytearray) -> bytes:
     out = np.empty(16 * len(now) + 64, np.uint8)
     known = np.frombuffer(bytes(before), np.uint8).copy()
     written = _walk(
-        False, start_coder(False, out), np.frombuffer(now, np.uint8).copy(), known, new_bits(258), out
+        True, start_coder(True, out), np.frombuffer(now, np.uint8).copy(), known, new_bits(258), out
     )
     before[:] = now
     return out[:written].tobytes()
@@ -57,7 +57,7 @@ def decode_bytes(code: bytes, length: int, before: bytearray) -> bytes:
     now = np.zeros(length, np.uint8)
     known = np.frombuffer(bytes(before), np.uint8).copy()
     data = np.frombuffer(bytearray(code), np.uint8)
-    if _walk(True, start_coder(True, data), now, known, new_bits(258), data) < 0:
+    if _walk(False, start_coder(False, data), now, known, new_bits(258), data) < 0:
         raise ArchiveError("payload does not decode")
     before[:] = now.tobytes()
     return now.tobytes()

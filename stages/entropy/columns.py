@@ -114,7 +114,7 @@ def _contexts(
 
 @uncounted
 def _code_residual(
-    decoding: bool,
+    writing: bool,
     residual: int,
     width: int,
     state: NDArray[np.int64],
@@ -127,13 +127,13 @@ def _code_residual(
     """Code zero or not, sign, size in unary, two leading bits, the rest as it is; returns residual and size."""
     magnitude = abs(residual)
     size = _size(magnitude)
-    if code_mixed_bit(decoding, state, buffer, a, f, b, g, 1 if size > 0 else 0) == 0:
+    if code_mixed_bit(writing, state, buffer, a, f, b, g, 1 if size > 0 else 0) == 0:
         return np.int64(0), 0
-    negative = code_mixed_bit(decoding, state, buffer, a, f + 1, b, g + 1, 1 if residual < 0 else 0)
+    negative = code_mixed_bit(writing, state, buffer, a, f + 1, b, g + 1, 1 if residual < 0 else 0)
     s = 1
     while s < width:
         at = 2 + 4 * s
-        if code_mixed_bit(decoding, state, buffer, a, f + at, b, g + at, 1 if s < size else 0) == 0:
+        if code_mixed_bit(writing, state, buffer, a, f + at, b, g + at, 1 if s < size else 0) == 0:
             break
         s += 1
     size = s
@@ -143,19 +143,19 @@ def _code_residual(
     while bits > 0 and node < 4:
         bits -= 1
         at = 2 + 4 * size + node
-        bit = code_mixed_bit(decoding, state, buffer, a, f + at, b, g + at, (magnitude >> bits) & 1)
+        bit = code_mixed_bit(writing, state, buffer, a, f + at, b, g + at, (magnitude >> bits) & 1)
         value = (value << 1) | bit
         node = 2 + bit if node == 1 else 4
     while bits > 0:
         chunk = min(bits, 24)
         bits -= chunk
-        value = (value << chunk) | code_raw(decoding, state, buffer, chunk, magnitude >> bits)
+        value = (value << chunk) | code_raw(writing, state, buffer, chunk, magnitude >> bits)
     return -value if negative == 1 else value, size
 
 
 @uncounted
 def _walk(
-    decoding: bool,
+    writing: bool,
     state: NDArray[np.int64],
     sizes: NDArray[np.int64],
     last: NDArray[np.int64],
@@ -173,24 +173,24 @@ def _walk(
         predicted = _predict(predictor, left, second, above, corner)
         f, g = _contexts(sizes, void, i, period, last, _size(abs(left - above) + abs(above - corner)))
         residual = _wrap(values[i] - predicted, width)
-        residual, sizes[i] = _code_residual(decoding, residual, width, state, a, f, b, g, buffer)
+        residual, sizes[i] = _code_residual(writing, residual, width, state, a, f, b, g, buffer)
         if failed(state):
             break
         values[i] = _wrap(predicted + residual, width)
         kind = 1 if void[i] else 0
         last[kind, 1] = last[kind, 0]
         last[kind, 0] = i
-    return finish_coder(decoding, state, buffer)
+    return finish_coder(writing, state, buffer)
 
 
 def encode_residuals(values: Values, void: Flags, period: int, predictor: int, width: int) -> bytes:
     """Encode values ``(N,)``, signed numbers of ``width`` bits."""
 
     def walk(out: NDArray[np.uint8]) -> int:
-        state, sizes, models = start_coder(False, out), np.zeros(len(values), np.int64), _residual_models()
+        state, sizes, models = start_coder(True, out), np.zeros(len(values), np.int64), _residual_models()
         coded = values.copy()
         return int(
-            _walk(False, state, sizes, nothing_yet(), coded, void, period, predictor, width, *models, out)
+            _walk(True, state, sizes, nothing_yet(), coded, void, period, predictor, width, *models, out)
         )
 
     return run_encoder(walk, len(values))
@@ -202,6 +202,6 @@ def decode_residuals(
     """Inverse of :func:`encode_residuals`: the values, and whether the data made sense."""
     raw = np.frombuffer(bytearray(data), np.uint8)
     values = np.zeros(len(void), np.int64)
-    state, sizes, models = start_coder(True, raw), np.zeros(len(void), np.int64), _residual_models()
-    done = _walk(True, state, sizes, nothing_yet(), values, void, period, predictor, width, *models, raw)
+    state, sizes, models = start_coder(False, raw), np.zeros(len(void), np.int64), _residual_models()
+    done = _walk(False, state, sizes, nothing_yet(), values, void, period, predictor, width, *models, raw)
     return values, done == 0

@@ -33,14 +33,14 @@ def _size(magnitude: int) -> int:
 
 @uncounted
 def _walk(
-    decoding: bool,
+    writing: bool,
     state: NDArray[np.int64],
     sizes: NDArray[np.int64],
     rows: NDArray[np.int64],
     model: NDArray[np.uint16],
     buffer: NDArray[np.uint8],
 ) -> int:
-    """Code rows ``(S, C)``; returns bytes written, 0 when decoding, -1 for a buffer too small or data that cannot be."""
+    """Code rows ``(S, C)``; returns bytes written, 0 when reading, -1 for a buffer too small or data that cannot be."""
     columns = rows.shape[1]
     for i in range(len(rows)):
         for c in range(columns):
@@ -52,28 +52,28 @@ def _walk(
             size = 0
             while (
                 size < _SIZES - 1
-                and code_bit(decoding, state, buffer, model, base + 1 + 4 * size, 1 if size < length else 0)
+                and code_bit(writing, state, buffer, model, base + 1 + 4 * size, 1 if size < length else 0)
                 == 1
             ):
                 size += 1
             negative = (
-                size > 0 and code_bit(decoding, state, buffer, model, base, 1 if residual < 0 else 0) == 1
+                size > 0 and code_bit(writing, state, buffer, model, base, 1 if residual < 0 else 0) == 1
             )
             magnitude = np.int64(1 if size > 0 else 0)
             for b in range(size - 2, -1, -1):
                 bit = (known >> b) & 1
                 if b >= size - 3:
                     node = 2 if b == size - 2 else 3
-                    bit = code_bit(decoding, state, buffer, model, base + 1 + 4 * size + node - 1, bit)
+                    bit = code_bit(writing, state, buffer, model, base + 1 + 4 * size + node - 1, bit)
                 else:
-                    bit = code_raw(decoding, state, buffer, 1, bit)
+                    bit = code_raw(writing, state, buffer, 1, bit)
                 magnitude = magnitude << 1 | bit
             value = before + (-magnitude if negative else magnitude)
-            if failed(state) or (decoding and abs(value) > _LIMIT):
+            if failed(state) or (not writing and abs(value) > _LIMIT):
                 return -1
             rows[i, c] = value
             sizes[c] = size
-    return finish_coder(decoding, state, buffer)
+    return finish_coder(writing, state, buffer)
 
 
 @njit(cache=True)
@@ -85,7 +85,7 @@ def encode_integers(rows: NDArray[np.int64], model: NDArray[np.uint16], out: NDA
     >>> decode_integers(2, 2, integer_model(2), out[:size])[0].tolist()
     [[1, -7], [2, -7]]
     """
-    return _walk(False, start_coder(False, out), np.zeros(rows.shape[1], np.int64), rows.copy(), model, out)
+    return _walk(True, start_coder(True, out), np.zeros(rows.shape[1], np.int64), rows.copy(), model, out)
 
 
 @njit(cache=True)
@@ -94,4 +94,4 @@ def decode_integers(
 ) -> tuple[NDArray[np.int64], bool]:
     """Inverse of :func:`encode_integers`; the rows ``(n, columns)`` and whether the data sufficed."""
     rows = np.zeros((n, columns), np.int64)
-    return rows, _walk(True, start_coder(True, data), np.zeros(columns, np.int64), rows, model, data) == 0
+    return rows, _walk(False, start_coder(False, data), np.zeros(columns, np.int64), rows, model, data) == 0

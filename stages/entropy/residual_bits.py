@@ -10,13 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import (
-    decode_interval,
-    decode_mixed_bit,
-    decode_target,
-    encode_interval,
-    encode_mixed_bit,
-)
+from salpcc.stages.entropy.walks import code_mixed_bit, code_raw, uncounted
 
 SIZES = 40  # magnitudes below 2 ** 40
 PER_CONTEXT = 2 + 4 * SIZES
@@ -35,29 +29,7 @@ def size_of(magnitude: int) -> int:
     return size
 
 
-@njit(cache=True)
-def code_bit(
-    writing: bool, state: State, data: Bytes, first: Bits, i: int, second: Bits, j: int, bit: int
-) -> int:
-    """Write ``bit``, or read and return it, in contexts i of ``first`` and j of ``second``."""
-    if writing:
-        encode_mixed_bit(state, data, first, i, second, j, bit)
-        return bit
-    return decode_mixed_bit(state, data, first, i, second, j)
-
-
-@njit(cache=True)
-def code_even(writing: bool, state: State, data: Bytes, bits: int, value: int) -> int:
-    """Write or read ``bits`` bits, at most 24, that nothing is known of."""
-    if writing:
-        encode_interval(state, data, value, 1, bits)
-        return value
-    value = decode_target(state, bits)
-    decode_interval(state, data, value, 1, bits)
-    return value
-
-
-@njit(cache=True)
+@uncounted
 def code_number(
     writing: bool, state: State, data: Bytes, first: Bits, i: int, second: Bits, j: int, value: int
 ) -> int:
@@ -65,14 +37,14 @@ def code_number(
     a = i * PER_CONTEXT
     b = j * PER_CONTEXT
     magnitude = abs(value)
-    if code_bit(writing, state, data, first, a, second, b, np.int64(magnitude != 0)) == 0:
+    if code_mixed_bit(writing, state, data, first, a, second, b, np.int64(magnitude != 0)) == 0:
         return 0
-    negative = code_bit(writing, state, data, first, a + 1, second, b + 1, np.int64(value < 0))
+    negative = code_mixed_bit(writing, state, data, first, a + 1, second, b + 1, np.int64(value < 0))
     wanted = size_of(magnitude) - 1
     size = 0
     while size < SIZES - 1:
         at = 2 + 4 * size
-        if code_bit(writing, state, data, first, a + at, second, b + at, np.int64(size < wanted)) == 0:
+        if code_mixed_bit(writing, state, data, first, a + at, second, b + at, np.int64(size < wanted)) == 0:
             break
         size += 1
     found = 1
@@ -80,11 +52,10 @@ def code_number(
     for known in range(min(size, 2)):
         node = at + 1 + (0 if known == 0 else found & 1) + known
         bit = (magnitude >> (size - 1 - known)) & 1
-        found = found << 1 | code_bit(writing, state, data, first, a + node, second, b + node, bit)
+        found = found << 1 | code_mixed_bit(writing, state, data, first, a + node, second, b + node, bit)
     rest = max(size - 2, 0)
     while rest > 0:
         some = min(rest, 16)
         rest -= some
-        part = (magnitude >> rest) & ((1 << some) - 1)
-        found = found << some | code_even(writing, state, data, some, part)
+        found = found << some | code_raw(writing, state, data, some, magnitude >> rest)
     return -found if negative else found

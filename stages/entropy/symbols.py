@@ -16,7 +16,7 @@ def _symbol_models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
 
 @uncounted
 def _walk(
-    decoding: bool,
+    writing: bool,
     state: NDArray[np.int64],
     last: NDArray[np.int64],
     values: Values,
@@ -31,11 +31,11 @@ def _walk(
         kind = 1 if void[i] else 0
         f = (kind * 256 + left) * 256
         g = (kind * 256 + above) * 256
-        values[i] = code_mixed_tree(decoding, state, buffer, a, f, b, g, 8, values[i])
+        values[i] = code_mixed_tree(writing, state, buffer, a, f, b, g, 8, values[i])
         if failed(state):
             break
         last[kind, 0] = i
-    return finish_coder(decoding, state, buffer)
+    return finish_coder(writing, state, buffer)
 
 
 def encode_symbols(values: Values, void: Flags, period: int) -> bytes:
@@ -43,7 +43,7 @@ def encode_symbols(values: Values, void: Flags, period: int) -> bytes:
     out = np.empty(16 * len(values) + 4096, np.uint8)  # a bit costs 11 at most
     written = int(
         _walk(
-            False, start_coder(False, out), nothing_yet(), values.copy(), void, period, *_symbol_models(), out
+            True, start_coder(True, out), nothing_yet(), values.copy(), void, period, *_symbol_models(), out
         )
     )
     assert written >= 0
@@ -55,5 +55,5 @@ def decode_symbols(void: Flags, period: int, data: bytes) -> tuple[Values, bool]
     raw = np.frombuffer(bytearray(data), np.uint8)
     values = np.zeros(len(void), np.int64)
     return values, _walk(
-        True, start_coder(True, raw), nothing_yet(), values, void, period, *_symbol_models(), raw
+        False, start_coder(False, raw), nothing_yet(), values, void, period, *_symbol_models(), raw
     ) == 0

@@ -15,7 +15,7 @@ CONTEXTS = _TREE * _TREE * _TREE
 
 @uncounted
 def _walk(
-    decoding: bool,
+    writing: bool,
     state: NDArray[np.int64],
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],
@@ -33,11 +33,11 @@ def _walk(
                 j += 1
             up = np.int64(value[j]) if j < begin else 0
             context = (left * _TREE + up) * _TREE
-            left = np.int64(code_tree(decoding, state, buffer, model, context, BITS, value[i]))
+            left = np.int64(code_tree(writing, state, buffer, model, context, BITS, value[i]))
             value[i] = left
         if starts[k + 1] > begin:
             above = begin
-    return finish_coder(decoding, state, buffer)
+    return finish_coder(writing, state, buffer)
 
 
 @njit(cache=True)
@@ -49,7 +49,7 @@ def encode_classes(
     out: NDArray[np.uint8],
 ) -> int:
     """Encode classes below 32 ``(M,)``; return the bytes written to ``out``, -1 if full."""
-    return _walk(False, start_coder(False, out), starts, tick, value.copy(), model, out)
+    return _walk(True, start_coder(True, out), starts, tick, value.copy(), model, out)
 
 
 @njit(cache=True)
@@ -58,4 +58,4 @@ def decode_classes(
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_classes`; the classes and whether the data sufficed."""
     value = np.zeros(len(tick), np.uint8)
-    return value, _walk(True, start_coder(True, data), starts, tick, value, model, data) == 0
+    return value, _walk(False, start_coder(False, data), starts, tick, value, model, data) == 0

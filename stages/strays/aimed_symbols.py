@@ -7,7 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
-from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_bit
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES
+from salpcc.stages.entropy.walks import code_mixed_bit
 from salpcc.stages.strays.ray_forms import SPREADS
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
@@ -41,8 +42,8 @@ def code_kind(writing, state, data, bits, kinds, i, left, up):  # type: ignore[n
     k3 = np.int64(kinds[i - up]) if up > 0 and i >= up else 0
     kind = np.int64(kinds[i])
     at = (k1 * 16 + k2 * 4 + k3) * 4
-    high = code_bit(writing, state, data, bits, at, bits, at + 1, kind >> 1)
-    low = code_bit(writing, state, data, bits, at + 2 + high, bits, at + 2 + high, kind & 1)
+    high = code_mixed_bit(writing, state, data, bits, at, bits, at + 1, kind >> 1)
+    low = code_mixed_bit(writing, state, data, bits, at + 2 + high, bits, at + 2 + high, kind & 1)
     return high * 2 + low
 
 
@@ -50,11 +51,11 @@ def code_kind(writing, state, data, bits, kinds, i, left, up):  # type: ignore[n
 def code_laser(writing, state, data, bits, known, before, laser):  # type: ignore[no-untyped-def]
     """Where ``known``, the laser is most often the one before at this place; else it depends on the point before."""
     if known:
-        if code_bit(writing, state, data, bits, 0, bits, 0, np.int64(laser != before)) == 0:
+        if code_mixed_bit(writing, state, data, bits, 0, bits, 0, np.int64(laser != before)) == 0:
             return before
         before = 0
     node = 1
     for b in range(7, -1, -1):
         at = ((0 if known else 1 + before) * 256) + node
-        node = node << 1 | code_bit(writing, state, data, bits, at, bits, at, (laser >> b) & 1)
+        node = node << 1 | code_mixed_bit(writing, state, data, bits, at, bits, at, (laser >> b) & 1)
     return node & 255

@@ -22,14 +22,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
-from salpcc.stages.entropy.residual_bits import (
-    PER_CONTEXT,
-    SIZES,
-    code_bit,
-    code_even,
-    code_number,
-    size_of,
-)
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number, size_of
+from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
 from salpcc.stages.strays.ray_forms import (
     ALONG,
     BITS,
@@ -104,8 +98,8 @@ def code_points(  # type: ignore[no-untyped-def]
         kind = np.int64(kinds[i])
         if way != MOVE:
             context = (k1 * 16 + k2 * 4 + k3) * 4
-            high = code_bit(writing, state, data, of_kind, context, of_kind, context + 1, kind >> 1)
-            low = code_bit(
+            high = code_mixed_bit(writing, state, data, of_kind, context, of_kind, context + 1, kind >> 1)
+            low = code_mixed_bit(
                 writing, state, data, of_kind, context + 2 + high, of_kind, context + 2 + high, kind & 1
             )
             kind = high * 2 + low
@@ -118,8 +112,8 @@ def code_points(  # type: ignore[no-untyped-def]
         if kind == LOOSE:
             for c in range(3):
                 whole = whole_of(points[i, c], BITS, per) + (1 << 31)
-                high = code_even(writing, state, data, 16, whole >> 16) if way != MOVE else 0
-                low = code_even(writing, state, data, 16, whole & 0xFFFF) if way != MOVE else 0
+                high = code_raw(writing, state, data, 16, whole >> 16) if way != MOVE else 0
+                low = code_raw(writing, state, data, 16, whole & 0xFFFF) if way != MOVE else 0
                 if way == READ:
                     points[i, c] = coordinate_of((high << 16 | low) - (1 << 31), BITS, per)
             continue
@@ -138,7 +132,9 @@ def code_points(  # type: ignore[no-untyped-def]
                 node = 1
                 for b in range(7, -1, -1):
                     c = recent_lane * 256 + node
-                    node = node << 1 | code_bit(writing, state, data, of_lane, c, of_lane, c, (lane >> b) & 1)
+                    node = node << 1 | code_mixed_bit(
+                        writing, state, data, of_lane, c, of_lane, c, (lane >> b) & 1
+                    )
                 lane = node & 255
                 lanes[i] = lane
         place, before = last[lane], before_last[lane]

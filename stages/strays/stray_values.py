@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
-from salpcc.stages.entropy.residual_bits import code_bit
+from salpcc.stages.entropy.walks import code_mixed_bit
 from salpcc.stages.strays.ray_coder import Layout
 from salpcc.stages.strays.stray_coder import decode_floats, encode_floats
 
@@ -27,7 +27,9 @@ _HIGH, _LOW = 256 * 256, 128 * 8 * 256
 def _code_byte(writing, state, data, first, i, second, j, value):  # type: ignore[no-untyped-def]
     node = 1
     for b in range(7, -1, -1):
-        bit = code_bit(writing, state, data, first, i * 256 + node, second, j * 256 + node, (value >> b) & 1)
+        bit = code_mixed_bit(
+            writing, state, data, first, i * 256 + node, second, j * 256 + node, (value >> b) & 1
+        )
         node = node << 1 | bit
     return node & 255
 

@@ -17,7 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
-from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_bit, code_number
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
+from salpcc.stages.entropy.walks import code_mixed_bit
 
 LASERS = 256
 _NEVER = np.int64(1) << 62
@@ -86,13 +87,13 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
                 or _skips(due, k) > _MOST_SKIPPED
                 or abs(time[i] - due[k]) > cycle[group[k]] // 2
             )
-        way = code_bit(writing, state, data, of_way, odd, of_way, odd, way)
+        way = code_mixed_bit(writing, state, data, of_way, odd, of_way, odd, way)
         odd = (odd << 1 | way) & 255
         if way == 1:
             node = 1
             for shift in range(7, -1, -1):
                 at = before * 256 + node
-                node = node << 1 | code_bit(
+                node = node << 1 | code_mixed_bit(
                     writing, state, data, of_laser, at, of_laser, at, (k >> shift) & 1
                 )
             k = np.int64(node & 255)
@@ -118,7 +119,7 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
                 tied = 0 if due[found] != now else (1 if asked[found] == i - 1 else 2)
                 at = ((missed[found] & 7) * 3 + tied) * 2 + np.int64(n_skipped > 0)
                 own = found * 8 + (missed[found] & 1) * 4 + tied
-                if code_bit(writing, state, data, of_seen, at, of_own, own, np.int64(found != k)) == 0:
+                if code_mixed_bit(writing, state, data, of_seen, at, of_own, own, np.int64(found != k)) == 0:
                     break
                 asked[found] = i
                 skipped[n_skipped] = found

@@ -21,7 +21,8 @@ from salpcc.stages.entropy.range_coder import (
     start_decoder,
     start_encoder,
 )
-from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_bit, code_even, code_number
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
+from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
 from salpcc.stages.lattice.aim import aim
 from salpcc.stages.lattice.sensor_model import SensorModel
 
@@ -130,9 +131,9 @@ def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, n
         if i == 0:
             first = np.int64(0)
             for part in range(_CLOCK_BITS // 16):
-                first |= code_even(
-                    writing, state, data, 16, ((a + (b - a) // 2) >> (16 * part)) & 0xFFFF
-                ) << (16 * part)
+                first |= code_raw(writing, state, data, 16, ((a + (b - a) // 2) >> (16 * part)) & 0xFFFF) << (
+                    16 * part
+                )
             new = first
         elif begins[i]:
             which = _STEPS
@@ -145,7 +146,7 @@ def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, n
             c = 0
             while c < _STEPS:
                 at = 8 + told * _STEPS + c
-                if code_bit(writing, state, data, bits, at, bits, at, np.int64(which != c)) == 0:
+                if code_mixed_bit(writing, state, data, bits, at, bits, at, np.int64(which != c)) == 0:
                     break
                 c += 1
             if c == _STEPS:
@@ -165,7 +166,7 @@ def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, n
         else:
             changes = writing and not low[i] <= clock + delay[laser[i]] <= high[i]
             at = 0 if i < 2 or clocks[i - 1] == clocks[i - 2] else 1
-            if code_bit(writing, state, data, bits, at, bits, at, np.int64(changes)) != 0:
+            if code_mixed_bit(writing, state, data, bits, at, bits, at, np.int64(changes)) != 0:
                 new = clock + code_number(
                     writing, state, data, numbers, 1, numbers, 1, min(max(clock, a), b) - clock
                 )

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
-from salpcc.stages.entropy.residual_bits import code_bit
+from salpcc.stages.entropy.walks import code_mixed_bit
 
 I64 = NDArray[np.int64]
 
@@ -22,13 +22,15 @@ def _code(writing, state, data, values, laser, lasers, bits):  # type: ignore[no
         new = last[k] < 0
         if not new:
             at = 1 + misses
-            new = code_bit(writing, state, data, bits, at, bits, at, np.int64(values[i] != last[k])) == 1
+            new = (
+                code_mixed_bit(writing, state, data, bits, at, bits, at, np.int64(values[i] != last[k])) == 1
+            )
             misses = (misses * 2 + np.int64(new)) & 7
         if new:
             node = 1
             for shift in range(7, -1, -1):
                 at = 16 + before * 256 + node
-                bit = code_bit(writing, state, data, bits, at, bits, at, (values[i] >> shift) & 1)
+                bit = code_mixed_bit(writing, state, data, bits, at, bits, at, (values[i] >> shift) & 1)
                 node = node * 2 + bit
             if not writing:
                 values[i] = node & 255

@@ -77,7 +77,7 @@ def _context(
 
 @uncounted
 def _walk(
-    decoding: bool,
+    writing: bool,
     state: NDArray[np.int64],
     starts: NDArray[np.int64],
     tick: NDArray[np.int32],
@@ -97,14 +97,14 @@ def _walk(
             context, mean = _context(i, begin, above, j, level, value)
             here = (k * _LASER_MEANS + mean) * _TREE
             coded = code_mixed_tree(
-                decoding, state, buffer, model, context * _TREE, by_laser, here, _BITS, value[i]
+                writing, state, buffer, model, context * _TREE, by_laser, here, _BITS, value[i]
             )
             if coded >= LEVELS or failed(state):
                 return -1
             value[i] = coded
         if starts[k + 1] > begin:
             above = begin
-    return finish_coder(decoding, state, buffer)
+    return finish_coder(writing, state, buffer)
 
 
 @njit(cache=True)
@@ -118,7 +118,7 @@ def encode_intensity(
     out: NDArray[np.uint8],
 ) -> int:
     """Encode intensities 0..100 ``(M,)``; return the bytes written to ``out``, -1 if full."""
-    return _walk(False, start_coder(False, out), starts, tick, level, value.copy(), model, by_laser, out)
+    return _walk(True, start_coder(True, out), starts, tick, level, value.copy(), model, by_laser, out)
 
 
 @njit(cache=True)
@@ -132,4 +132,6 @@ def decode_intensity(
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_intensity`; the values and whether the data sufficed and made sense."""
     value = np.zeros(len(tick), np.uint8)
-    return value, _walk(True, start_coder(True, data), starts, tick, level, value, model, by_laser, data) == 0
+    return value, _walk(
+        False, start_coder(False, data), starts, tick, level, value, model, by_laser, data
+    ) == 0

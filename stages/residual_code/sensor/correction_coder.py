@@ -46,7 +46,7 @@ def correction_reach(distance: NDArray[np.float64], codes: NDArray[np.uint8]) ->
 
 @uncounted
 def _walk(
-    decoding: bool,
+    writing: bool,
     state: NDArray[np.int64],
     distance: NDArray[np.float64],
     step: NDArray[np.int8],
@@ -63,14 +63,14 @@ def _walk(
             digit = np.int64(0)
             if distance[i, c] <= reach:
                 context = _bucket(distance[i, c], reach)
-                if code_bit(decoding, state, buffer, model, context, 1 if digits[c] != 0 else 0):
+                if code_bit(writing, state, buffer, model, context, 1 if digits[c] != 0 else 0):
                     back = code_bit(
-                        decoding, state, buffer, model, _ACROSS, 1 if digits[c] != step[i, c] else 0
+                        writing, state, buffer, model, _ACROSS, 1 if digits[c] != step[i, c] else 0
                     )
                     digit = np.int64(-step[i, c] if back else step[i, c])
             code = code * 3 + digit + 1
         codes[i] = code
-    return finish_coder(decoding, state, buffer)
+    return finish_coder(writing, state, buffer)
 
 
 @njit(cache=True)
@@ -87,7 +87,7 @@ def encode_corrections(
     Args:
         distance, step: ``(M, 3)``, see :mod:`salpcc.stages.lattice.publish`.
     """
-    return _walk(False, start_coder(False, out), distance, step, reach, codes.copy(), model, out)
+    return _walk(True, start_coder(True, out), distance, step, reach, codes.copy(), model, out)
 
 
 @njit(cache=True, nogil=True)
@@ -100,4 +100,4 @@ def decode_corrections(
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_corrections`; the codes and whether the data sufficed."""
     codes = np.full(len(distance), _NONE, np.uint8)
-    return codes, _walk(True, start_coder(True, data), distance, step, reach, codes, model, data) == 0
+    return codes, _walk(False, start_coder(False, data), distance, step, reach, codes, model, data) == 0
