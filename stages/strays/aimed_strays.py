@@ -35,7 +35,7 @@ OFF_LASER = 255
 _BODY = struct.Struct("<BIII")
 _FEWEST = 500
 _LEAST_SHARE = 0.5  # of the points that must lie on the lattice
-_TRIED = 1 << 15  # points
+_TRIED = 1 << 13  # points
 _LARGEST_STEP = 1 << 16
 
 Motion = NDArray[np.float64] | None

@@ -190,9 +190,11 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
                 coded = bytes([SYMBOLS]) + _RECORD.pack(*way[:5], period, len(stream)) + stream
     if base is not None or len(values) < _FEWEST or 8 * len(coded) < _WORTH_IT * len(values):
         return coded
-    ways = (_encode_by_laser, _encode_times, _encode_columns, _encode_blended)
-    others = (encode(values, points) for encode in ways)
-    return min([coded, *(other for other in others if other is not None)], key=len)
+    for encode in (_encode_by_laser, _encode_columns, _encode_blended):
+        other = encode(values, points)
+        coded = coded if other is None else min(coded, other, key=len)
+    other = _encode_times(values, points, len(coded))
+    return coded if other is None else min(coded, other, key=len)
 
 
 def _encode_by_laser(values: Values, points: Points) -> bytes | None:
@@ -208,14 +210,14 @@ def _encode_by_laser(values: Values, points: Points) -> bytes | None:
     return bytes([BY_LASER]) + _BY_LASER.pack(len(stream)) + stream
 
 
-def _encode_times(values: Values, points: Points) -> bytes | None:
-    """A field that goes on from firing to firing; None where it does not."""
+def _encode_times(values: Values, points: Points, to_beat: int) -> bytes | None:
+    """A field that goes on from firing to firing; None where it does not, or takes more than ``to_beat`` bytes by far."""
     if values.dtype.itemsize < 4 or not points.on_lattice or points.fired is None:
         return None
     spans = spans_of(values)
     if spans is None:
         return None
-    found = find_times(points.fired, spans.low, spans.high)
+    found = find_times(points.fired, spans.low, spans.high, to_beat)
     if found is None:
         return None
     clocked, stream = found

@@ -30,7 +30,9 @@ _ROUNDS = 6
 _LARGEST = (1 << 39) - 1  # difference that a number holds
 _CLOCK_BITS = 64
 _SAME = (0.3, 2.0, 1e9)  # of the ticks from firing to firing; the last: only lasers tell firings
-_TRIED, _FINALISTS = 1 << 15, 2  # points, ways
+_TRIED, _FINALISTS = 1 << 13, 2  # points, ways
+_NEAR = 1.1  # of the shortest trial; others are no finalists
+_HOPELESS = 1.5  # of the bits a point that are to be beaten, in a trial
 _STEPS = 6  # of the clock from firing to firing that are remembered
 
 I64 = NDArray[np.int64]
@@ -234,8 +236,11 @@ def _agreed(low: I64, high: I64) -> int:
     return at + (until - at) // 2
 
 
-def find_times(fired: Fired, low: I64, high: I64) -> tuple[Clocked, bytes] | None:
-    """Find how to tell the times ``low ... high (N,)`` of points best, and encode them; None where that cannot be."""
+def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked, bytes] | None:
+    """Find how to tell the times ``low ... high (N,)`` of points best, and encode them.
+
+    None where that cannot be, or where trials say that it takes more than the bytes ``to_beat`` by far.
+    """
     part = slice(0, _TRIED)
     few = Fired(fired.laser[part], fired.tick[part], fired.shift, fired.ticks)
     tried: list[tuple[int, Clocked]] = []
@@ -251,7 +256,12 @@ def find_times(fired: Fired, low: I64, high: I64) -> tuple[Clocked, bytes] | Non
             if coded is not None:
                 tried.append((len(coded), way))
     best: tuple[Clocked, bytes] | None = None
-    for _, early in sorted(tried, key=lambda found: found[0])[:_FINALISTS]:
+    tried.sort(key=lambda found: found[0])
+    if not tried or tried[0][0] * len(low) > _HOPELESS * to_beat * len(few.laser):
+        return None
+    for size, early in tried[:_FINALISTS]:
+        if size > _NEAR * tried[0][0]:
+            break
         for way in (early, _fitted(early, fired, low, high)):  # early times are rounded least
             coded = encode_times(fired, low, high, way)
             if coded is not None and (best is None or len(coded) < len(best[1])):
