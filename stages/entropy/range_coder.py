@@ -41,7 +41,7 @@ def start_encoder() -> NDArray[np.int64]:
     return state
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _renormalise_encoder(low: int, width: int, state: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
     """Write out the leading bytes of ``low`` until the range is wide again; carries ripple back."""
     position = state[2]
@@ -66,7 +66,7 @@ def _renormalise_encoder(low: int, width: int, state: NDArray[np.int64], out: ND
     state[2] = position
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def encode_interval(
     state: NDArray[np.int64], out: NDArray[np.uint8], low: int, width: int, bits: int
 ) -> None:
@@ -75,13 +75,13 @@ def encode_interval(
     _renormalise_encoder(state[0] + r * low, max(r * width, 1), state, out)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _weight(model: NDArray[np.uint16], context: int) -> int:
     """Sum of the two estimates of a context."""
     return np.int64(model[context, 0]) + np.int64(model[context, 1])
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _adapt(model: NDArray[np.uint16], context: int, goal: int) -> None:
     """Move the two estimates of a context towards ``goal``, 0 or 65535."""
     fast = np.int64(model[context, 0])
@@ -90,7 +90,7 @@ def _adapt(model: NDArray[np.uint16], context: int, goal: int) -> None:
     model[context, 1] = slow + ((goal - slow) >> _SLOW)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def encode_bit(
     state: NDArray[np.int64], out: NDArray[np.uint8], model: NDArray[np.uint16], context: int, bit: int
 ) -> None:
@@ -113,7 +113,7 @@ def encode_bit(
     _renormalise_encoder(state[0] + (bound & one), bound + ((width - bound - bound) & one), state, out)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def encode_mixed_bit(
     state: NDArray[np.int64],
     out: NDArray[np.uint8],
@@ -134,7 +134,7 @@ def encode_mixed_bit(
     _renormalise_encoder(state[0] + (bound & one), bound + ((width - bound - bound) & one), state, out)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def finish_encoder(state: NDArray[np.int64], out: NDArray[np.uint8]) -> int:
     """Flush; return the number of bytes written, or -1 if the buffer was too small."""
     for _ in range(6):
@@ -159,7 +159,7 @@ def start_decoder(data: NDArray[np.uint8]) -> NDArray[np.int64]:
     return state
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _renormalise_decoder(code: int, width: int, state: NDArray[np.int64], data: NDArray[np.uint8]) -> None:
     while width < _BOTTOM:
         width <<= 8
@@ -175,13 +175,13 @@ def _renormalise_decoder(code: int, width: int, state: NDArray[np.int64], data: 
     state[1] = width
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def decode_target(state: NDArray[np.int64], bits: int) -> int:
     """Return where in ``[0, 2 ** bits)`` the next symbol lies; follow with :func:`decode_interval`."""
     return min(state[0] // (state[1] >> bits), (1 << bits) - 1)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def decode_interval(
     state: NDArray[np.int64], data: NDArray[np.uint8], low: int, width: int, bits: int
 ) -> None:
@@ -191,7 +191,7 @@ def decode_interval(
     _renormalise_decoder(state[0] - r * low, max(r * width, 1), state, data)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def decode_bit(
     state: NDArray[np.int64], data: NDArray[np.uint8], model: NDArray[np.uint16], context: int
 ) -> int:
@@ -207,7 +207,7 @@ def decode_bit(
     return bit
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def decode_mixed_bit(
     state: NDArray[np.int64],
     data: NDArray[np.uint8],

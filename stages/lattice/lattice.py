@@ -105,7 +105,7 @@ def unproject(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def place_point(
     driver: Tables,
     tick: int,

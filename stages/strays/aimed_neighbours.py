@@ -8,7 +8,7 @@ _STEPS = 64  # that a cursor goes at a time; hostile azimuths must not send it r
 _NEAR = 0.02  # turns; points farther apart in azimuth are not interpolated between
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def link(i, k, links, ends):  # type: ignore[no-untyped-def]
     """Append point i to those of laser k, a ring that closes on itself."""
     if ends[k, 1] < 0:
@@ -21,7 +21,7 @@ def link(i, k, links, ends):  # type: ignore[no-untyped-def]
     ends[k, 1] = i
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def _apart(a, b, ticks):  # type: ignore[no-untyped-def]
     """Azimuth from b to a in ticks, the short way round."""
     off = a - b
@@ -33,7 +33,7 @@ def _apart(a, b, ticks):  # type: ignore[no-untyped-def]
     return off
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cursor, beside):  # type: ignore[no-untyped-def]
     """Find the point of laser ``other`` (-1: none) nearest in azimuth to point i of laser k; -1 where it has none yet.
 
@@ -66,7 +66,7 @@ def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cur
     return at
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def guess_inverse(i, place, upper, lower, ticks, azimuth, inverse, links, beside, errors, guess):  # type: ignore[no-untyped-def]
     """Fill the guesses of 1/d of point i; return the distance they make together, how far it may be off, and how far apart they are.
 

@@ -34,7 +34,7 @@ def new_models() -> Models:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def code_kind(writing, state, data, bits, kinds, i, left, up):  # type: ignore[no-untyped-def]
     """Write the kind of point i, or read and return it, told from the points before it and at its place of earlier firings."""
     k1 = np.int64(kinds[i - 1]) if i >= 1 else 0
@@ -47,7 +47,7 @@ def code_kind(writing, state, data, bits, kinds, i, left, up):  # type: ignore[n
     return high * 2 + low
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def code_laser(writing, state, data, bits, known, before, laser):  # type: ignore[no-untyped-def]
     """Where ``known``, the laser is most often the one before at this place; else it depends on the point before."""
     if known:
