@@ -20,7 +20,8 @@ from salpcc.stages.ingest.sources.label_files import labels_that_fit
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
 
-VERSION = 5
+VERSION = 6
+_PATIENCE = 2
 
 
 def run(gop: GopSource, config: RunConfig) -> pa.Table:
@@ -56,17 +57,22 @@ class Projector:
     """Puts the scans of one GOP on the lattice, one after the other.
 
     The motion search of a scan starts from its predecessor's, but only where their frame numbers are
-    consecutive, and never across GOPs, so a GOP depends on no other.
+    consecutive, and never across GOPs, so a GOP depends on no other. Where two scans in a row were sought a motion by place in
+    the list for in vain, no more is sought: it takes seconds.
     """
 
     def __init__(self, sensor: SensorModel) -> None:
         self._sensor = sensor
         self._before: int | None = None
         self._motion: NDArray[np.float64] | None = None
+        self._in_vain = 0  # scans in a row
 
     def __call__(self, number: int, scan: Scan) -> Sweep:
         """Project the scan of frame ``number``."""
         follows = self._before is not None and number == self._before + 1
-        sweep = scan_to_sweep(scan, self._sensor, self._motion if follows else None)
+        sweep = scan_to_sweep(
+            scan, self._sensor, self._motion if follows else None, self._in_vain < _PATIENCE
+        )
+        self._in_vain = 0 if len(sweep.laser) or sweep.motion is not None else self._in_vain + 1
         self._before, self._motion = number, sweep.motion
         return sweep

@@ -60,9 +60,9 @@ def _find_motion(
     return motion is not None, motion
 
 
-def _all_strays(scan: Scan, sensor: SensorModel) -> Sweep:
+def _all_strays(scan: Scan, motion: NDArray[np.float64] | None) -> Sweep:
     """A sweep without returns; its motion is by place in the list (:mod:`.list_motion`)."""
-    return _sweep(scan, find_motion(scan.points, sensor), *(np.zeros(0, np.int64) for _ in range(6)))
+    return _sweep(scan, motion, *(np.zeros(0, np.int64) for _ in range(6)))
 
 
 def _sweep(
@@ -103,13 +103,16 @@ def _sweep(
     )
 
 
-def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | None = None) -> Sweep:
+def scan_to_sweep(
+    scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | None = None, by_list: bool = True
+) -> Sweep:
     """Put a scan on its sensor lattice, losslessly.
 
     Never fails: what does not fit becomes a stray, and a foreign scan is nothing but strays.
 
     Args:
         start: motion of the scan before, from which the inversion starts.
+        by_list: of a scan without returns, seek a motion by place in the list.
 
     >>> from salpcc.stages.lattice.sensor_model import load_sensor
     >>> points = np.array([[10, 0, 0.5], [0, 4, -1.9]], np.float32)
@@ -122,10 +125,10 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     if lies_on(
         sensor, points
     ):  # not rounded to 1 mm: no returns of this lattice, but the coder of strays knows it
-        return _sweep(scan, None, *(np.zeros(0, np.int64) for _ in range(6)))
+        return _all_strays(scan, None)
     locked, motion = _find_motion(points if within.all() else points[within], start)
     if not locked:
-        return _all_strays(scan, sensor)
+        return _all_strays(scan, find_motion(points, sensor) if by_list else None)
 
     raw, compensated, usable = untwist(points, motion)
     laser = assign_lasers(sensor, raw, usable)
@@ -133,7 +136,7 @@ def scan_to_sweep(scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | 
     on = np.flatnonzero((millimetre >= 0) & (ulp >= 0))
     on = on[_in_firing_order(laser[on], tick[on], key[on])]
     if len(on) < _MIN_SHARE * len(scan):
-        return _all_strays(scan, sensor)
+        return _all_strays(scan, find_motion(points, sensor) if by_list else None)
     return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre[on], ulp[on])
 
 

@@ -37,6 +37,9 @@ class GopState:
     classes: NDArray[np.uint16] = field(default_factory=lambda: new_bits(class_coder.CONTEXTS))
     envelope: bytearray = field(default_factory=bytearray)  # of the recorded message before
     before: Sweep | None = None  # the scan decoded last
+    timeless: int = (
+        0  # scans in a row whose points did not follow from their times; an encoder's business only
+    )
     _values: dict[str, ValueModels] = field(default_factory=dict)
 
     def values(self, effort: str) -> ValueModels:

@@ -38,6 +38,7 @@ from salpcc.stages.strays.timeline import Timeline
 
 Data = NDArray[np.uint8]
 _LENGTH = struct.Struct("<I")
+_PATIENCE = 2  # scans of a group whose points are sought by their times in vain: a search takes seconds
 
 
 @dataclass
@@ -85,8 +86,13 @@ class Encoding:
         rings = None if sweep.cloud is None else self.listed.cloud.rings()  # type: ignore[union-attr]
         told = rings is not None and rings.max(initial=0) <= 255
         lanes = rings[self.listed.stray_index].astype(np.uint8) if told else None  # type: ignore[index]
-        times = None if len(sweep.laser) or sweep.cloud is None else times_of(self.listed.cloud)  # type: ignore[arg-type]
-        return plan(sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved, lanes=lanes, times=times)
+        times = None
+        if sweep.cloud is not None and len(sweep.laser) == 0 and self.state.timeless < _PATIENCE:
+            times = times_of(self.listed.cloud)  # type: ignore[arg-type]
+        found = plan(sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved, lanes=lanes, times=times)
+        if times is not None:
+            self.state.timeless = 0 if found.coded is not None else self.state.timeless + 1
+        return found
 
     @cached_property
     def levels(self) -> NDArray[np.uint8] | None:

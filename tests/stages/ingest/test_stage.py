@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.config import RunConfig
+from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import facts_of, table_to_sweeps
 from salpcc.schemas.work import GopSource
 from salpcc.stages.ingest import stage
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice import sweep as sweep_module
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import sweep_to_scan
 
 
@@ -79,3 +81,16 @@ def test_motion_starts_from_the_scan_before_only_where_frames_are_consecutive(
     monkeypatch.setattr(stage, "scan_to_sweep", spy)
     stage.run(gop_of(toy_root, "01"), RunConfig())  # frames 0, 1, 7
     assert starts == [False, True, False]
+
+
+def test_what_was_sought_in_vain_twice_is_sought_no_more(
+    monkeypatch: pytest.MonkeyPatch, sensor: SensorModel
+) -> None:
+    rng = np.random.default_rng(0)
+    sought: list[int] = []
+    monkeypatch.setattr(sweep_module, "find_motion", lambda points, _: sought.append(len(points)))
+    project = stage.Projector(sensor)
+    for number in range(5):
+        points = rng.normal(0, 9, (300 + number, 3)).astype(np.float32)
+        project(number, Scan(f"{number:06d}", points, np.zeros(len(points), np.float32)))
+    assert sought == [300, 301]
