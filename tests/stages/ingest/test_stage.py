@@ -56,10 +56,10 @@ def test_a_kernel_that_breaks_on_one_scan_costs_that_scan(
 ) -> None:
     real = stage.scan_to_sweep
 
-    def breaks(scan, sensor, start):  # type: ignore[no-untyped-def]
+    def breaks(scan, sensor, start, by_list):  # type: ignore[no-untyped-def]
         if scan.name == "000001":
             raise ZeroDivisionError("odd scan")
-        return real(scan, sensor, start)
+        return real(scan, sensor, start, by_list)
 
     monkeypatch.setattr(stage, "scan_to_sweep", breaks)
     table = stage.run(gop_of(toy_root, "01"), RunConfig())
@@ -73,7 +73,7 @@ def test_motion_starts_from_the_scan_before_only_where_frames_are_consecutive(
     starts = []
     real = stage.scan_to_sweep
 
-    def spy(scan, sensor, start):  # type: ignore[no-untyped-def]
+    def spy(scan, sensor, start, by_list):  # type: ignore[no-untyped-def]
         starts.append(start is not None)
         sweep = real(scan, sensor, start)
         return type(sweep)(**{**vars(sweep), "motion": np.zeros(6)})
