@@ -33,6 +33,7 @@ _T = TypeVar("_T", bound=np.generic)
 
 # Half the diagonal of the 1 mm cube that the published points were rounded in.
 _ROUNDING = 0.000867
+_COARSE = 0.05  # metres
 _BESIDE_AXIS, _MOST = 50.0, 0.9  # millimetres that beams start from the axis; of the returns
 
 
@@ -148,6 +149,14 @@ def _distances_are_told(sweep: Sweep, sensor: SensorModel) -> bool:
     return bool((np.abs(told[seen] - distance) <= _BESIDE_AXIS).mean() > _MOST)
 
 
+def _is_coarse(sweep: Sweep, max_error: float) -> bool:
+    """Tell whether points were float16 and their message tells rings and times, so that they cost least as they are."""
+    if sweep.cloud is None or len(sweep.laser) or max_error > _COARSE or sweep.cloud.time_field is None:
+        return False
+    bits = np.ascontiguousarray(sweep.stray_points[:, :3], np.float32).view(np.int32)
+    return sweep.cloud.rings() is not None and bool((bits & 0x1FFF == 0).all())
+
+
 def quantise(
     sweep: Sweep, sensor: SensorModel, max_error: float, gaps: NDArray[np.float64] | None = None
 ) -> Sweep:
@@ -156,7 +165,8 @@ def quantise(
     A return that would be farther, or out of its place in the file, becomes a stray. A bound below the
     1 mm rounding of the published points is met by staying lossless. So is one that float64 coordinates
     of a recorded cloud eat up when they become float32; else it is made tighter by as much. Points whose message tells their
-    distances exactly stay exact, too: these would give them back, and cost more without them.
+    distances exactly stay exact, too: these would give them back, and cost more without them. So do float16 points whose message
+    tells lasers and times: their own steps are as coarse.
 
     Args:
         gaps: ``(2, M)``, between which keys of :func:`~salpcc.stages.lattice.layers.return_keys` the place of each
@@ -165,7 +175,7 @@ def quantise(
     if sweep.cloud is not None:
         rounding = coordinate_rounding(sweep_to_scan(sweep, sensor))
         max_error = max_error - rounding if rounding <= max_error / 2 else 0.0
-        if gaps is None and _distances_are_told(sweep, sensor):
+        if gaps is None and (_distances_are_told(sweep, sensor) or _is_coarse(sweep, max_error)):
             max_error = 0.0
     exact = max_error == 0 or (max_error < _ROUNDING and len(sweep.laser) > 0)
     if exact and gaps is None:

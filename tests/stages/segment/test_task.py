@@ -58,11 +58,12 @@ def test_levels_use_the_whole_bound() -> None:
     assert [counts_per_level(e, 0.002) for e in (0.001, 0.005, 0.01, 0.02)] == [1, 5, 10, 20]
 
 
-def with_ranges(points: np.ndarray, told: np.ndarray) -> Scan:
-    """A recorded cloud of points ``(N, 3)`` whose message tells their distances, in millimetres."""
-    rows = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("range", "<u4")])
+def with_fields(points: np.ndarray, told: dict[str, np.ndarray]) -> Scan:
+    """A recorded cloud of points ``(N, 3)`` whose message tells more of them, in whole numbers."""
+    rows = np.zeros(len(points), [*((axis, "<f4") for axis in "xyz"), *((name, "<u4") for name in told)])
     rows["x"], rows["y"], rows["z"] = points.T
-    rows["range"] = told
+    for name, values in told.items():
+        rows[name] = values
     types = get_typestore(Stores.ROS2_HUMBLE).types
     field = types["sensor_msgs/msg/PointField"]
     cloud = types["sensor_msgs/msg/PointCloud2"](
@@ -76,8 +77,8 @@ def with_ranges(points: np.ndarray, told: np.ndarray) -> Scan:
             for i, n in enumerate(rows.dtype.names)
         ],
         is_bigendian=False,
-        point_step=16,
-        row_step=16 * len(rows),
+        point_step=rows.dtype.itemsize,
+        row_step=rows.nbytes,
         data=rows.view(np.uint8).ravel(),
         is_dense=True,
     )
@@ -99,8 +100,20 @@ def test_points_whose_distances_are_told_stay_exact(told: str) -> None:
         "something else": firing,
         "distances of other points": millimetres[::-1],
     }
-    scan = with_ranges(points, ranges[told])
+    scan = with_fields(points, {"range": ranges[told]})
     task = quantise(scan_to_sweep(scan, pandar), pandar, 0.02)
     error = np.linalg.norm(sweep_to_scan(task, pandar).points.astype(np.float64) - points, axis=1)
     assert (error.max() == 0.0) == (told == "distances")
     assert error.max() <= 0.02
+
+
+def test_float16_points_of_told_lasers_stay_exact() -> None:
+    """As coarse as the bound, they cost more when they are moved to other places."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-20, 20, (3000, 3)).astype(np.float16).astype(np.float32)
+    for names, exact in ((("ring", "time"), True), (("ring", "other"), False), (("other", "time"), False)):
+        scan = with_fields(points, dict(zip(names, (np.arange(3000) % 16, np.arange(3000)), strict=True)))
+        pandar = load_sensor("pandar64")
+        sweep = scan_to_sweep(scan, pandar)
+        assert (quantise(sweep, pandar, 0.02).max_error == 0.0) == exact
+        assert quantise(sweep, pandar, 0.2).max_error == 0.2
