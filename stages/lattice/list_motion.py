@@ -83,21 +83,73 @@ def redo(points: F64, s: F64, motion: F64) -> F64:
 
 def fit_cones(points: F64, laser: I64, lasers: int) -> tuple[Cones, F64]:
     """Return the cones of points ``(N, 3)`` of lasers ``(N,)``, and how far each point is above or below its own."""
-    slope, height = np.zeros(lasers), np.zeros(lasers)
-    off = np.full(len(points), np.inf)
-    rho = np.hypot(points[:, 0], points[:, 1])
-    for k in range(lasers):
-        own = np.flatnonzero(laser == k)
-        if len(own) < 3:
-            continue
-        near = np.ones(len(own), np.bool_)
-        for _ in range(10):
-            design = np.column_stack([rho[own], np.ones(len(own))])
-            slope[k], height[k] = np.linalg.lstsq(design[near], points[own[near], 2], rcond=None)[0]
-            off[own] = points[own, 2] - slope[k] * rho[own] - height[k]
-            size = np.abs(off[own])
-            near = size <= max(1e-6, 2.0 * float(np.median(size)))
+    rho = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2)
+    slope, height, off = _cones(rho, np.ascontiguousarray(points[:, 2]), *_grouped(laser, lasers))
     return Cones(slope, height), off
+
+
+def _grouped(laser: I64, lasers: int) -> tuple[I64, I64]:
+    """The points of each laser one after the other, and where those of each begin, ``(L + 1,)``; others are left out."""
+    order = np.argsort(laser, kind="stable")
+    return order, np.searchsorted(laser[order], np.arange(lasers + 1))
+
+
+@njit(cache=True, error_model="numpy")
+def _line(x: F64, y: F64, rows: I64, near: NDArray[np.bool_]) -> tuple[float, float]:
+    """Slope and height of the line through the near ones of these rows; sums in their order, so the same on every machine."""
+    n, mean_x, mean_y = 0, 0.0, 0.0
+    for j in range(len(rows)):
+        if near[j]:
+            n += 1
+            mean_x += x[rows[j]]
+            mean_y += y[rows[j]]
+    if n == 0:
+        return 0.0, 0.0
+    mean_x /= n
+    mean_y /= n
+    along, across = 0.0, 0.0
+    for j in range(len(rows)):
+        if near[j]:
+            d = x[rows[j]] - mean_x
+            along += d * d
+            across += d * (y[rows[j]] - mean_y)
+    slope = across / along if along > 0.0 else 0.0
+    return slope, mean_y - slope * mean_x
+
+
+@njit(cache=True, error_model="numpy")
+def _cones(rho: F64, z: F64, order: I64, starts: I64) -> tuple[F64, F64, F64]:
+    lasers = len(starts) - 1
+    slope, height = np.zeros(lasers), np.zeros(lasers)
+    off = np.full(len(rho), np.inf)
+    for k in range(lasers):
+        rows = order[starts[k] : starts[k + 1]]
+        if len(rows) < 3:
+            continue
+        near = np.ones(len(rows), np.bool_)
+        size = np.empty(len(rows))
+        for _ in range(10):
+            slope[k], height[k] = _line(rho, z, rows, near)
+            for j in range(len(rows)):
+                off[rows[j]] = z[rows[j]] - slope[k] * rho[rows[j]] - height[k]
+                size[j] = abs(off[rows[j]])
+            limit = max(1e-6, 2.0 * np.median(size))
+            near[:] = size <= limit
+    return slope, height, off
+
+
+@njit(cache=True, error_model="numpy")
+def _without_lines(columns: F64, rho: F64, good: NDArray[np.bool_], order: I64, starts: I64) -> None:
+    """Take out of the columns ``(N, C)`` what a slope and a height of each laser could take up, over its good rows."""
+    for k in range(len(starts) - 1):
+        rows = order[starts[k] : starts[k + 1]]
+        near = good[rows]
+        if near.sum() > 2:
+            for c in range(columns.shape[1]):
+                slope, height = _line(rho, columns[:, c], rows, near)
+                for j in range(len(rows)):
+                    if near[j]:
+                        columns[rows[j], c] -= slope * rho[rows[j]] + height
 
 
 def solve(points: F64, laser: I64, s: F64, lasers: int, ticks: int = 0, count: float = 0.0) -> Solved | None:
@@ -163,14 +215,12 @@ def _by_cones(points: F64, laser: I64, s: F64, lasers: int, motion: F64, free: t
     slope = cones.slope[laser]
     normal = np.stack([-slope * raw[:, 0] / rho, -slope * raw[:, 1] / rho, np.ones(len(raw))], axis=1)
     # d raw / d v = -s, d raw / d w = -s w x raw; what depends on w and the normal alone is their triple product.
-    jacobian = np.concatenate([-s[:, None] * normal, -s[:, None] * np.cross(raw, normal)], axis=1)[:, free]
+    jacobian = np.concatenate([-s[:, None] * normal, -s[:, None] * np.cross(raw, normal)], axis=1)[
+        :, list(free)
+    ]
     # Cones are fitted together with the motion: what they could take up is taken out of the columns, too.
     good = np.abs(off) < 4.0 * np.median(np.abs(off))
-    for k in range(lasers):
-        own = np.flatnonzero(good & (laser == k))
-        if len(own) > 2:
-            design = np.column_stack([rho[own], np.ones(len(own))])
-            jacobian[own] -= design @ np.linalg.lstsq(design, jacobian[own], rcond=None)[0]
+    _without_lines(jacobian, rho, good, *_grouped(laser, lasers))
     change = np.zeros(6)
     change[list(free)] = np.linalg.lstsq(jacobian[good], -off[good], rcond=None)[0]
     return np.asarray(motion + change)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.strays.turning_rays import Turning
@@ -10,6 +11,7 @@ from salpcc.stages.strays.turning_rays import Turning
 _FASTEST, _RATES = 8.0, 321  # radians from the first to the last point; tried
 _SAMPLE = 6000  # points
 _ROUNDS = 14
+_HOPELESS = 0.02  # radians that half of the points are off by after half of the rounds
 _DAMPING = 1e-6
 _STEPS = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
 _OF_LASER, _OF_SENSOR = 2, 7
@@ -43,8 +45,10 @@ def fit_turning(points: F64, laser: I64, group: I64, time: F64) -> tuple[Turning
             np.median(np.arctan2(p[own, 2], np.hypot(p[own, 0], p[own, 1]))),
             np.angle(left[own].mean()),
         )
-    for _ in range(_ROUNDS):
-        numbers = _improved(numbers, p, k, of, t)
+    for round_ in range(_ROUNDS):
+        numbers, half = _improved(numbers, p, k, of, t)
+        if round_ >= _ROUNDS // 2 and half > _HOPELESS:
+            return None
     turning = Turning(*(part.astype(np.float32) for part in numbers))
     off = _off(numbers, points[sound], laser[sound], group[laser[sound]], time[sound])
     return turning, float(np.median(np.hypot(*off)))
@@ -86,30 +90,48 @@ def _off(
     return up, aside
 
 
-def _improved(numbers: tuple[F64, F64, F64], p: F64, k: I64, of: I64, t: F64) -> tuple[F64, F64, F64]:
-    """One damped Gauss-Newton step on all numbers, points that are far off counting less."""
+@njit(cache=True, error_model="numpy")
+def _normal(change: F64, at: I64, off: F64, weight: F64, size: int) -> tuple[F64, F64]:
+    """Normal equations ``(M, M)``, ``(M,)`` of the changes ``(2, J, N)`` of J numbers a point, which stand at ``at (J, N)``."""
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    for way in range(2):
+        for i in range(change.shape[2]):
+            for j in range(change.shape[1]):
+                own = change[way, j, i] * weight[way, i]
+                right[at[j, i]] += own * off[way, i] * weight[way, i]
+                for l in range(j + 1):
+                    normal[at[j, i], at[l, i]] += own * change[way, l, i] * weight[way, i]
+    for i in range(size):
+        for j in range(i):
+            normal[i, j] += normal[j, i]
+            normal[j, i] = normal[i, j]
+    return normal, right
+
+
+def _improved(
+    numbers: tuple[F64, F64, F64], p: F64, k: I64, of: I64, t: F64
+) -> tuple[tuple[F64, F64, F64], float]:
+    """One damped Gauss-Newton step on all numbers, points that are far off counting less; and what half were off by before it."""
     lasers, sensors = len(numbers[0]), len(numbers[1])
+    ends = np.cumsum([_OF_LASER * lasers, _OF_SENSOR * sensors])
     off = np.stack(_off(numbers, p, k, of, t))
-    jacobian = np.zeros((2, len(p), _OF_LASER * lasers + _OF_SENSOR * sensors + 6))
-    rows = np.arange(len(p))
+    change = np.empty((2, len(_STEPS), len(p)))
+    at = np.empty((len(_STEPS), len(p)), np.int64)
     for j, step in enumerate(_STEPS):
         local = np.zeros(len(_STEPS))
         local[j] = step
-        change = (np.stack(_off(numbers, p, k, of, t, local)) - off) / step
+        change[:, j] = (np.stack(_off(numbers, p, k, of, t, local)) - off) / step
         if j < _OF_LASER:
-            at = _OF_LASER * k + j
+            at[j] = _OF_LASER * k + j
         elif j < _OF_LASER + _OF_SENSOR:
-            at = _OF_LASER * lasers + _OF_SENSOR * of + j - _OF_LASER
+            at[j] = ends[0] + _OF_SENSOR * of + j - _OF_LASER
         else:
-            at = np.full(len(p), j - len(_STEPS) + jacobian.shape[2])
-        jacobian[:, rows, at] = change
-    scale = 3.0 * np.median(np.abs(off), axis=1, keepdims=True) + 1e-9
-    weight = 1.0 / np.sqrt(1.0 + (off / scale) ** 2)
-    a = (jacobian * weight[:, :, None] / scale[:, :, None]).reshape(2 * len(p), -1)
-    b = (off * weight / scale).ravel()
-    normal = a.T @ a
+            at[j] = ends[1] + j - _OF_LASER - _OF_SENSOR
+    half = np.median(np.abs(off), axis=1, keepdims=True)
+    scale = 3.0 * half + 1e-9
+    weight = 1.0 / np.sqrt(1.0 + (off / scale) ** 2) / scale
+    normal, right = _normal(change, at, off, weight, int(ends[1]) + 6)
     normal[np.diag_indices_from(normal)] += _DAMPING * np.trace(normal) / len(normal)
-    step = -np.linalg.solve(normal, a.T @ b)
-    ends = np.cumsum([_OF_LASER * lasers, _OF_SENSOR * sensors])
-    parts = np.split(step, ends)
-    return tuple(old + new.reshape(old.shape) for old, new in zip(numbers, parts, strict=True))
+    parts = np.split(-np.linalg.solve(normal, right), ends)
+    better = tuple(old + new.reshape(old.shape) for old, new in zip(numbers, parts, strict=True))
+    return better, float(half.sum())
