@@ -38,7 +38,11 @@ def export_found(found: pa.Table, out: Path, target: Path) -> Iterator[tuple[Pat
     with TemporaryDirectory() as folder:
         parts = [Path(folder) / Path(name).name for name in archives]
         counts = [_export(found, out, name, part) for name, part in zip(archives, parts, strict=True)]
-        merge(parts, target)
+        try:
+            merge(parts, target)
+        except UsageError as error:
+            held = str((out / archives[0]).parent)
+            raise UsageError(f"{str(error).replace(folder, held)}; or name a folder, not a file") from error
     yield target, Counts(sum(one.copied for one in counts), sum(one.anew for one in counts))
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.pipeline.cut import check_new
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, MOVABLE, known_classes
@@ -104,19 +105,21 @@ def redact(
 ) -> dict[str, Any]:
     """Write to ``out`` the archive ``path`` without what may move, and beside it the manifest ``OUT.json``; return that.
 
-    The manifest has the SHA-256 of each chunk of coded scans as it was in ``path``.
+    The manifest has the SHA-256 of each chunk of coded scans as it was in ``path``, and of the movable ones that are left.
 
     Args:
         poses: KITTI's, with the ``calib.txt`` beside them, for a box; None takes those that the archive holds.
 
     Raises:
-        UsageError: ``out`` exists; the archive has no movable layer, or no classes or poses to choose by.
+        UsageError: ``out`` or its manifest exists; the archive has no movable layer, no scan of the frames, or no
+            classes or poses to choose by.
         SourceError: the poses are not those of the scans.
         ArchiveError: the archive is damaged.
     """
     selection = selection or Selection()
-    if out.exists():
-        raise UsageError(f"{out}: exists; redact writes a new file")
+    check_new(out)
+    if (beside := manifest_path(out)).exists():
+        raise UsageError(f"{beside}: exists, and the manifest has this name; name another --out")
     reader = ArchiveReader(path)
     if reader.movable != "layered":
         what = "was dropped" if reader.movable == "dropped" else "is in one layer with the rest"
@@ -125,6 +128,9 @@ def redact(
         raise UsageError(
             f"{path}: no classes are stored in it; it can be redacted as a whole, by --frames or by --box"
         )
+    names = [entry.name for gop in reader.gops for entry in gop]
+    if names and not any(selection.concerns(name, place) for place, name in enumerate(names)):
+        raise UsageError(f"{path}: no scan of it is of these frames; it holds {names[0]} to {names[-1]}")
     placed = _poses(reader, poses) if selection.box else None
     reader.check()
     # Without its inputs no run takes it for the archive that it would make.
@@ -133,7 +139,8 @@ def redact(
     side = (reader.side_file(name) for name in reader.side if not name.startswith(_UNFIT))
     write_archive(out, facts, _gops(reader, selection, placed), log, side)
     manifest = {"version": VERSION, "tool": TOOL, "redacted": _told(selection)} | chunk_hashes(reader)
-    with atomic(manifest_path(out)) as stream:
+    manifest["left"] = chunk_hashes(ArchiveReader(out))["movable"]
+    with atomic(beside) as stream:
         stream.write(json.dumps(manifest, indent=1).encode() + b"\n")
     return manifest
 
@@ -156,8 +163,7 @@ def chunk_hashes(reader: ArchiveReader) -> dict[str, Any]:
 def check_redacted(reader: ArchiveReader, manifest: Path) -> list[str]:
     """Say what is wrong with an archive as the redaction of that which a manifest tells of; nothing, if nothing is.
 
-    Its static chunks must be the very bytes that they were, and of movable ones none but those, coded anew or as they
-    were, that the redaction was to leave.
+    Its static chunks must be the very bytes that they were, its movable ones those that the redaction left.
 
     Raises:
         UsageError: the manifest cannot be read.
@@ -166,6 +172,8 @@ def check_redacted(reader: ArchiveReader, manifest: Path) -> list[str]:
         old = json.loads(manifest.read_bytes())
         static = [(row["gop"], row["sha256"]) for row in old["static"]]
         all_of_it = old["redacted"] == _told(Selection())
+        # Where all went, a manifest says no more.
+        left = [] if all_of_it else [(row["gop"], row["sha256"]) for row in old["left"]]
         sequence = old["sequence"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"{manifest}: no manifest of a redaction ({error})") from error
@@ -173,12 +181,13 @@ def check_redacted(reader: ArchiveReader, manifest: Path) -> list[str]:
     problems = []
     if new["sequence"] != sequence:
         problems.append(f"is of sequence {new['sequence']}, the manifest of {sequence}")
-    here = [(row["gop"], row["sha256"]) for row in new["static"]]
-    if here != static:
-        differ = sorted({gop for gop, _ in set(here) ^ set(static)})
-        problems.append(f"static chunks differ: those of GOP {', '.join(map(str, differ))}")
-    if all_of_it and new["movable"]:
-        problems.append(f"{len(new['movable'])} movable chunks are still there")
+    for layer, old_chunks in ("static", static), ("movable", left):
+        here = [(row["gop"], row["sha256"]) for row in new[layer]]
+        if all_of_it and layer == "movable" and here:
+            problems.append(f"{len(here)} movable chunks are still there")
+        elif here != old_chunks:
+            differ = sorted({gop for gop, _ in set(here) ^ set(old_chunks)})
+            problems.append(f"{layer} chunks differ: those of GOP {', '.join(map(str, differ))}")
     return problems
 
 

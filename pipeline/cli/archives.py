@@ -150,7 +150,7 @@ def verify(
             + _compared(verdict.as_dict())
         )
         if redacted_from is not None and verdict.good:
-            typer.echo(f"static chunks are byte for byte those that {redacted_from} tells of")
+            typer.echo(f"its chunks are byte for byte those that {redacted_from} tells of")
         if verdict.labelled_scans or verdict.side_files:
             typer.echo(f"labels of {verdict.labelled_scans} scans, {verdict.side_files} side files")
         if verdict.movable:

@@ -206,6 +206,6 @@ def test_what_is_found_becomes_archives(out: Path, toy_root: Path, tmp_path: Pat
     with Archive.open(one) as archive:
         assert (archive.sequence, archive.names[-2:]) == ("one", ["000004", "000007"])
     code, _, said = command("find", out, "name = '000001'", "--export", tmp_path / "two.mcap")
-    assert code == 1 and "000001 is in" in said
+    assert code == 1 and f"000001 is in {out / 'archives'}" in said.replace("\n", "") and "folder" in said
     code, _, said = command("find", out, "name = '000001'", "--export", one)
     assert code == 1 and "exists" in said

@@ -364,6 +364,30 @@ def test_some_of_it_is_redacted(layered: Path, scans: list[Scan], tmp_path: Path
         Selection(classes=("tree",))
 
 
+def test_proof_of_some_is_of_what_is_left(layered: Path, tmp_path: Path) -> None:
+    """Neither what was not redacted, nor what lost more, nor another part passes for it."""
+    new, more = tmp_path / "some.mcap", tmp_path / "more.mcap"
+    redact(layered, new, Selection(frames=(3, 4)))
+    redact(layered, more, Selection(frames=(2, 4)))
+    redact(layered, tmp_path / "all.mcap")
+    for other in (layered, more, tmp_path / "all.mcap"):
+        verdict = verify(other, redacted_from=tmp_path / "some.json")
+        assert len(verdict.problems) == 1 and "movable chunks differ" in verdict.problems[0]
+    assert verify(new, redacted_from=tmp_path / "some.json").good
+
+
+def test_redaction_of_nothing_or_over_something_is_refused(layered: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no scan of it is of these frames; it holds 000000 to"):
+        redact(layered, tmp_path / "none.mcap", Selection(frames=(70, 80)))
+    with pytest.raises(UsageError, match="an archive is a file"):  # its manifest would lie in its place
+        redact(layered, tmp_path / "new.json")
+    (tmp_path / "mine.json").write_text("{}")
+    with pytest.raises(UsageError, match=r"mine\.json: exists"):
+        redact(layered, tmp_path / "mine.mcap")
+    assert (tmp_path / "mine.json").read_text() == "{}"
+    assert [file.name for file in tmp_path.iterdir()] == ["mine.json"]
+
+
 def test_part_of_a_message_is_redacted(tmp_path: Path) -> None:
     recorded = clouds(7)
     path = encode_scans(recorded, tmp_path / "log.mcap", "log", **OPTIONS)
