@@ -33,8 +33,9 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         path = folder / "velodyne" / f"{scan.name}.bin"
         with atomic(path) as stream:
             stream.write(scan_bytes(scan, columns))
-        if (labels := label_bytes(scan)) is not None:
-            _write_new(folder / "labels" / f"{scan.name}.label", labels, "labels are")
+        name = f"labels/{scan.name}.label"  # a side file where it fitted no points
+        if name not in archive.side and (labels := label_bytes(scan)) is not None:
+            _write_new(folder / name, labels, "labels are")
         times[scan.name] = scan.time
         if scan.offset is not None:
             behind.add("when each was measured (t)")

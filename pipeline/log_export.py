@@ -158,7 +158,7 @@ def _message(archive: Archive, scan: Scan, place: int) -> tuple[LogChannel, LogM
             rows = np.frombuffer(data, np.uint8).reshape(-1, 16)
             offset = scan.offset.astype("<i4").view(np.uint8).reshape(-1, 4)
             data, fields = np.hstack([rows, offset]).tobytes(), (*XYZI, ("t", 16, 5, 1))  # int32
-        dense = bool((scan.points - scan.points == 0).all())  # neither NaN nor infinite
+        dense = bool(np.isfinite(scan.points).all())
         step = 4 * len(fields)
         message = CloudMessage(
             scan.time, scan.frame_id, len(scan), data, is_dense=dense, point_step=step, fields=fields

@@ -202,7 +202,10 @@ def _poses(reader: ArchiveReader, given: Path | None) -> NDArray[np.float64]:
     """The poses of the scans, sensor to map ``(n, 4, 4)``."""
     names = [entry.name for gop in reader.gops for entry in gop]
     if given is not None:
-        return poses_of(names, read_poses(given), given)
+        try:
+            return poses_of(names, read_poses(given), given)
+        except SourceError as error:
+            raise _no_poses(str(error)) from error
     if not {"poses.txt", "calib.txt"} <= reader.side.keys():
         raise UsageError(f"{reader.path}: it holds no poses.txt and calib.txt; name the poses with --poses")
     with TemporaryDirectory() as folder:
@@ -212,7 +215,12 @@ def _poses(reader: ArchiveReader, given: Path | None) -> NDArray[np.float64]:
         try:
             return poses_of(names, read_poses(path), path)
         except SourceError as error:
-            raise SourceError(f"{reader.path}: {str(error).replace(folder, 'side file ')}") from error
+            raise _no_poses(f"{reader.path}: {str(error).replace(f'{folder}/', 'side file ')}") from error
+
+
+def _no_poses(what: str) -> SourceError:
+    """An error of poses, with the remedy that a box has; others can do with odometry."""
+    return SourceError(f"{what.partition(';')[0]}; name the poses of its scans with --poses FILE")
 
 
 _Poses = NDArray[np.float64] | None  # of all scans, or of those of a GOP

@@ -171,16 +171,21 @@ def view(
         the number of scans.
 
     Raises:
-        UsageError, ArchiveError, SourceError: as in :func:`scans_of`.
+        UsageError, ArchiveError, SourceError: as in :func:`scans_of`; ``save`` is named otherwise.
+        OSError: ``save`` cannot be written.
     """
     import rerun as rr
 
+    if save is not None and save.suffix != ".rrd":  # it would take the place of an archive
+        raise UsageError(f"{save}: a recording is a file NAME.rrd")
     scans = scans_of(path, layers, frames)
     first = next(scans)
     palette = Palette()
     blueprint = _blueprint(list(palette.of(first)))
     rr.init(f"salpcc {path.stem}", spawn=save is None, default_blueprint=blueprint)
     if save is not None:
+        save.parent.mkdir(parents=True, exist_ok=True)
+        save.open("wb").close()  # Rerun's own error says nothing of where
         rr.save(save, default_blueprint=blueprint)
     rr.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     drive = Drive(held_poses(ArchiveReader(path)) if is_archive(path) else _NONE)

@@ -108,6 +108,20 @@ def test_a_cloud_without_intensity_gets_none(tmp_path: Path) -> None:
     assert told == ["intensity: none recorded"] and not laspy.read(path).intensity.any()
 
 
+@pytest.mark.filterwarnings("error")
+def test_infinite_points_reach_messages_in_silence(tmp_path: Path) -> None:
+    points = np.array([[np.inf, 1, 2], [3, -np.inf, np.nan]], np.float32)
+    archive = Archive.open(
+        encode_scans([Scan("000000", points, np.zeros(2, np.float32))], tmp_path / "a.mcap")
+    )
+    (path,) = EXPORTS["mcap"](archive, iter(archive), tmp_path)
+    with path.open("rb") as stream:
+        ((_, _, _, cloud),) = make_reader(
+            stream, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages()
+    assert not cloud.is_dense and bytes(cloud.data) == rows_of(archive[0])
+
+
 def test_weird_floats_reach_kitti_files(tmp_path: Path) -> None:
     bits = np.array([[0x7FC00001, 0xFF800000, 0x80000000, 0x7FA00000]] * 3, np.uint32)
     scan = Scan("000000", bits[:, :3].copy().view(np.float32), bits[:, 3].copy().view(np.float32))

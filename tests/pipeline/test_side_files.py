@@ -176,14 +176,16 @@ def test_a_run_again_reads_nothing_and_one_of_other_files_is_refused(
         run(mine, out, "00", **LAYERED)
 
 
+@pytest.mark.parametrize("classes", [False, True], ids=["no classes", "classes"])
 def test_labels_that_fit_no_points_are_kept_as_they_are(
-    root: Path, tmp_path: Path, run: Callable[..., RunResult]
+    root: Path, tmp_path: Path, run: Callable[..., RunResult], classes: bool
 ) -> None:
     mine = tmp_path / "root"
     shutil.copytree(root, mine)
     folder = mine / "sequences" / "00"
     (folder / "labels" / "000001.label").write_bytes(b"\x01\x02\x03")
-    assert not run(mine, tmp_path / "out", "00", keep_movable=True, effort="fast").failed
+    options = {"keep_movable": not classes, "classes": classes, "effort": "fast"}
+    assert not run(mine, tmp_path / "out", "00", **options).failed
     path = tmp_path / "out" / "archives" / "00.mcap"
     code, said = command("decode", path, "--to", "kitti", "--out", tmp_path / "back")
     assert code == 0 and same(tmp_path / "back" / "sequences" / "00", folder), said
@@ -323,8 +325,12 @@ def test_redaction_by_a_box_in_the_map(whole: Path, root: Path, tmp_path: Path) 
         redact(tmp_path / "bare.mcap", tmp_path / "x.mcap", Choice(box=(0, 0, 0, 1, 1, 1)))
     write_archive(tmp_path / "short.mcap", bare.facts, pairs, side=[
         SideFile("calib.txt", b"Tr: 1 0 0 0 0 1 0 0 0 0 1 0"), SideFile("poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0")])  # fmt: skip
-    with pytest.raises(SourceError, match=r"side file /poses\.txt: 1 poses, none for scan 000001"):
+    with pytest.raises(
+        SourceError, match=r"side file poses\.txt: 1 poses, none for scan 000001; .* with --poses FILE$"
+    ):
         redact(tmp_path / "short.mcap", tmp_path / "x.mcap", Choice(box=(0, 0, 0, 1, 1, 1)))
+    with pytest.raises(SourceError, match=r"^odometry: no poses there; .* with --poses FILE$"):
+        redact(whole, tmp_path / "x.mcap", Choice(box=(0, 0, 0, 1, 1, 1)), Path("odometry"))
 
 
 def test_redaction_by_the_classes_of_labels(whole: Path, tmp_path: Path, root: Path) -> None:

@@ -134,5 +134,12 @@ def test_view_on_the_command_line(archive: Path, tmp_path: Path) -> None:
     assert code == 0 and said.startswith("1 scan: ") and (tmp_path / "a.rrd").stat().st_size > 0
     code, said = command("view", archive, "--web", "--save", tmp_path / "a.rrd")
     assert code == 1 and "choose one" in said
+    before = archive.read_bytes()
+    code, said = command("view", archive, "--save", archive)
+    assert code == 1 and "a recording is a file NAME.rrd" in said and archive.read_bytes() == before
+    assert command("view", archive, "--frames", "0:1", "--save", tmp_path / "new" / "a.rrd")[0] == 0
+    (tmp_path / "folder.rrd").mkdir()
+    with pytest.raises(IsADirectoryError):
+        view(archive, save=tmp_path / "folder.rrd")
     code, said = command("view", archive, "--layers", "moving", "--save", tmp_path / "b.rrd")
     assert code == 1 and "choose from" in said

@@ -108,6 +108,8 @@ def range_image(points: NDArray[np.float32], colours: NDArray[np.uint8]) -> NDAr
 
 def birds_eye(points: NDArray[np.float32], colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Paint points from above, driving direction up, the highest point in front."""
+    near = (np.abs(points[:, :2]) <= _REACH).all(axis=1)  # others may be farther off than integers reach
+    points, colours = points[near], colours[near]
     scale = _SIDE / (2 * _REACH)
     row = np.floor((_REACH - points[:, 0]) * scale).astype(int)
     column = np.floor((_REACH - points[:, 1]) * scale).astype(int)

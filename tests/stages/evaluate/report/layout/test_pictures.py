@@ -6,6 +6,7 @@ import base64
 import io
 
 import numpy as np
+import pytest
 from matplotlib.image import imread
 
 from salpcc.stages.evaluate.report.layout.pictures import birds_eye, range_image, scan_pictures
@@ -23,6 +24,16 @@ def test_ahead_is_up_and_left_is_left_from_above() -> None:
     ((ahead_row, ahead_column),) = where(image, RED)
     ((left_row, left_column),) = where(image, GREEN)
     assert ahead_row < left_row and left_column < ahead_column
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_point_at_the_end_of_the_world_is_in_no_picture() -> None:
+    """Places that no integer holds are left out in silence."""
+    points = np.array([[20, 0, 0], [1e38, -3e38, 0], [0, 3e38, 3e38]], np.float32)
+    colours = np.array([RED, GREEN, GREEN], np.uint8)
+    image = birds_eye(points, colours)
+    assert len(where(image, RED)) == 1 and not where(image, GREEN)
+    assert where(range_image(points, colours), RED)
 
 
 def test_the_nearest_point_hides_those_behind_it() -> None:
