@@ -17,7 +17,7 @@ from rich.progress import (
 
 from salpcc.stages import kernels_are_kept
 
-STDERR = Console(stderr=True, highlight=False)
+STDERR = Console(stderr=True, highlight=False, emoji=False)  # a file may be named :b:
 
 
 class Report(Protocol):

@@ -70,9 +70,9 @@ class RunConfig(BaseModel):
     @model_validator(mode="after")
     def _one_way(self) -> RunConfig:
         if self.keep_movable and self.drop_movable:
-            raise ValueError("keep_movable and drop_movable ask for opposite things; choose one")
+            raise ValueError("--keep-movable and --drop-movable ask for opposite things; choose one")
         if self.movable_max_error is not None and self.movable != "layered":
-            raise ValueError("movable_max_error is of a movable layer, and there is none")
+            raise ValueError("--max-error movable=METRES is of a movable layer, and there is none")
         return self
 
     @property

@@ -260,6 +260,6 @@ def inspect(
         typer.echo(json.dumps(found, indent=1, default=str))
         return
     if found["kind"] == "shard":
-        show_shard(found, Console())
+        show_shard(found, Console(emoji=False))
     else:
-        show_archive(found, Console(), scans)
+        show_archive(found, Console(emoji=False), scans)

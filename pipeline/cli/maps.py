@@ -233,7 +233,7 @@ def _show(rows: list[dict[str, object]]) -> None:
         figures = [row[m] for m in measures]
         cells = ["-" if v is None else f"{float(str(v)):.4f}" for v in figures]
         table.add_row(str(row["truth"]), str(row["cleaner"]), *cells)
-    Console().print(table)
+    Console(emoji=False).print(table)
 
 
 def show(out: Path) -> None:

@@ -170,8 +170,8 @@ def config_of(**values: object) -> RunConfig:
         return RunConfig.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
-        option = str(first["loc"][0]).replace("_", "-") if first["loc"] else "options"
-        raise UsageError(f"--{option}: {first['msg']}") from error
+        option = f"--{first['loc'][0]}: ".replace("_", "-") if first["loc"] else ""  # several do not fit
+        raise UsageError(option + first["msg"].removeprefix("Value error, ")) from error
 
 
 def stages_of(first: str | None, last: str, keep: bool, overwrite: bool) -> GraphOptions:

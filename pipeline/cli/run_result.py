@@ -39,7 +39,7 @@ def _show(result: RunResult, out: Path, json_: bool, names: list[str], seconds: 
     if json_:
         sys.stdout.write((out / "report" / "report.json").read_text())
         return
-    console = Console()
+    console = Console(emoji=False)
     table = Table(title="bits per input point", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
     for column in (
         "sequence",

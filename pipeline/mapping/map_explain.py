@@ -22,6 +22,7 @@ from salpcc.stages.mapping.voxel import Voxels
 F64 = NDArray[np.float64]
 
 FOLDER = "removed"
+PICTURE = "pictures/removed.png"
 _SCALE = 0.001  # metres
 _REASONS = f"reason, as bits: {CARVED} seen through, {DROPPED} of a movable class, {OBJECT} among what is"
 _WITNESSES = (
@@ -35,8 +36,6 @@ def explain(request: MapRequest, plan: MapPlan, store: ShardStore, tiles: list[T
     frame = frame_of(plan.origin, request.archives[0], request.crs)
     folder = request.out / FOLDER
     parts, reasons = [], [np.empty(0, np.uint8)]
-    for old in folder.glob("*.laz"):
-        old.unlink()
     for tile in tiles:
         if tile.ref is None or not tile.carved_or_dropped:
             continue
@@ -47,8 +46,14 @@ def explain(request: MapRequest, plan: MapPlan, store: ShardStore, tiles: list[T
         parts.append(removed.voxels)
         reasons.append(removed.against)
     png = removed_picture(Voxels.together(parts), np.concatenate(reasons))
-    with atomic(request.out / "pictures" / "removed.png") as stream:
+    with atomic(request.out / PICTURE) as stream:
         stream.write(png)
+
+
+def clear_explained(out: Path) -> None:
+    """Delete what explains an older map in the same folder."""
+    for old in (*(out / FOLDER).glob("*.laz"), out / PICTURE):
+        old.unlink(missing_ok=True)
 
 
 def score_of(built: Built) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.pipeline.mapping.map_explain import explain
+from salpcc.pipeline.mapping.map_explain import clear_explained, explain
 from salpcc.pipeline.mapping.map_export import to_mcap
 from salpcc.pipeline.mapping.map_frame import frame_of
 from salpcc.pipeline.mapping.map_plan import F64, MapPlan
@@ -50,6 +50,7 @@ def write_whole(
         )
     else:
         (request.out / "map.mcap").unlink(missing_ok=True)
+    clear_explained(request.out)
     if request.explain:
         explain(request, plan, store, tiles)
     voxels, against = _sample(store, tiles)

@@ -114,6 +114,18 @@ def test_decode_takes_frame_numbers(done: Path, tmp_path: Path) -> None:
     assert result.returncode == 2 and "no scan" in error_of(result)
 
 
+def test_errors_say_what_was_written(tmp_path: Path) -> None:
+    """No colon of it is an emoji, and options are named as they are."""
+    run = "run", "sequences", "00", "--source", "simulated", "--out", tmp_path
+    assert error_of(cli(*run, "--frames", "a:b")).startswith("error: --frames a:b: expected A:B")
+    assert error_of(cli("verify", tmp_path / ":b:.mcap")).startswith(f"error: {tmp_path}/:b:.mcap")
+    both = cli(*run, "--keep-movable", "--drop-movable")
+    assert both.returncode == 2
+    assert error_of(both) == "error: --keep-movable and --drop-movable ask for opposite things; choose one"
+    none = cli(*run, "--keep-movable", "--max-error", "static=0.01,movable=0.02")
+    assert error_of(none) == "error: --max-error movable=METRES is of a movable layer, and there is none"
+
+
 def test_damaged_archive_fails_verification(done: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad.mcap"
     data = bytearray((done / "archives" / "00.mcap").read_bytes())

@@ -152,6 +152,8 @@ def test_what_was_removed_says_why(
     assert (through[seen_through] >= 2).all() and (through >= 2 * met)[seen_through].all()
     assert (score[seen_through] > 0.6).all() and (score[~seen_through] == 1).all()
     assert (tmp_path / "pictures" / "removed.png").stat().st_size > 1000
+    make_map(request_(tmp_path))  # another map: what explains the older one is gone
+    assert not [*(tmp_path / "removed").glob("*"), *(tmp_path / "pictures").glob("removed*")]
 
 
 def test_tiles_do_not_change_the_map(request_: Callable[..., MapRequest], tmp_path: Path) -> None:
