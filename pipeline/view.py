@@ -194,6 +194,8 @@ def view(
         _log(rr, scan, drive, palette)
     paths = [np.array(path) for path in drive.paths if len(path) > 1]
     rr.log("path", rr.LineStrips3D(paths, colors=[_PATH] * len(paths), radii=0.08), static=True)
+    if save is not None:
+        rr.disconnect()  # writes what is still on its way to the file, and closes it
     return drive.scans
 
 
