@@ -32,7 +32,7 @@ CATALOGUE = pa.schema(
     [
         ("sequence", pa.string()),
         ("name", pa.string()),
-        ("time", pa.int64()),  # ns
+        ("time", pa.uint64()),  # ns
         ("archive", pa.string()),  # below the output folder
         ("gop", pa.int32()),
         ("points", pa.int64()),  # of the source

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import sqlite3
 from contextlib import closing
+from typing import Any
 
 import pyarrow as pa
 
@@ -35,7 +36,7 @@ def find(catalogue: pa.Table, condition: str) -> pa.Table:
         with closing(sqlite3.connect(":memory:")) as base:
             base.execute(f"CREATE TABLE catalogue ({', '.join(columns)})")
             places = ", ".join("?" * len(columns))
-            rows = zip(*(catalogue.column(name).to_pylist() for name in columns), strict=True)
+            rows = zip(*(_values(catalogue, name) for name in columns), strict=True)
             base.executemany(f"INSERT INTO catalogue VALUES ({places})", rows)
             _lock(base, len(catalogue))
             # The line break ends a comment that would swallow the bracket.
@@ -52,6 +53,12 @@ def find(catalogue: pa.Table, condition: str) -> pa.Table:
     ):
         raise UsageError(f'{condition}: is no condition; say what to compare, such as "points > 100000"')
     return catalogue.filter(pa.array([bool(value) for value in met], pa.bool_()))
+
+
+def _values(catalogue: pa.Table, name: str) -> list[Any]:
+    """A column as SQLite takes it: its whole numbers end below ``2 ** 63``, larger ones become floats."""
+    values = catalogue.column(name).to_pylist()
+    return [float(v) if isinstance(v, int) and v >= 1 << 63 else v for v in values]
 
 
 def named_columns(catalogue: pa.Table, condition: str) -> list[str]:

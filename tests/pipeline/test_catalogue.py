@@ -150,6 +150,13 @@ def test_conditions_are_sql() -> None:
     assert find(catalogue.slice(0, 0), "person > 50").num_rows == 0
 
 
+def test_times_over_two_to_the_63_are_found() -> None:
+    catalogue = made_up(3)
+    late = pa.array([2**63 - 1, 2**63, 2**64 - 1], pa.uint64())
+    catalogue = catalogue.set_column(catalogue.column_names.index("time"), "time", late)
+    assert find(catalogue, "time > 9e18 and time < 1e19").column("time").to_pylist() == [2**63 - 1, 2**63]
+
+
 @pytest.mark.parametrize(
     "condition",
     [
