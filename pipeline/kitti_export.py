@@ -21,7 +21,7 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
     (times, poses, calibration) as they were. Without side files the times go to ``times.txt``.
 
     Raises:
-        UsageError: other labels or side files are there, that these must not replace.
+        UsageError: other points, labels or side files are there, that these must not replace.
     """
     folder = out / "sequences" / archive.sequence
     columns = archive.config.get("columns", 4)
@@ -31,8 +31,7 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         if scan.cloud is not None and columns == 4:
             behind |= {field.name for field in scan.cloud.layout.fields} - {"x", "y", "z", "intensity"}
         path = folder / "velodyne" / f"{scan.name}.bin"
-        with atomic(path) as stream:
-            stream.write(scan_bytes(scan, columns))
+        _write_new(path, scan_bytes(scan, columns), "points are")
         name = f"labels/{scan.name}.label"  # a side file where it fitted no points
         if name not in archive.side and (labels := label_bytes(scan)) is not None:
             _write_new(folder / name, labels, "labels are")

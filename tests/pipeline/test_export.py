@@ -165,6 +165,18 @@ def test_labels_of_others_are_never_replaced(
         assert (tmp_path / "sequences" / "01" / "labels" / file.name).read_bytes() == file.read_bytes()
 
 
+def test_points_of_others_are_never_replaced(tmp_path: Path) -> None:
+    """A part of the points, or points that are only near, must not take the place of the data they are of."""
+    scan = Scan("000000", np.ones((3, 3), np.float32), np.zeros(3, np.float32))
+    archive = Archive.open(encode_scans([scan], tmp_path / "a.mcap"))
+    (path,) = EXPORTS["kitti"](archive, iter(archive), tmp_path)
+    assert list(EXPORTS["kitti"](archive, iter(archive), tmp_path)) == [path]  # the same again is fine
+    path.write_bytes(before := path.read_bytes() + bytes(16))
+    with pytest.raises(UsageError, match=r"000000\.bin: other points are there; name an empty folder"):
+        list(EXPORTS["kitti"](archive, iter(archive), tmp_path))
+    assert path.read_bytes() == before
+
+
 def test_times_of_a_log_keep_their_nanoseconds(tmp_path: Path) -> None:
     times = [1_533_151_603_547_590_123, 1_533_151_603_647_590_321]
     points, intensity = np.ones((4, 3), np.float32), np.zeros(4, np.float32)
