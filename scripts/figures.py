@@ -101,7 +101,7 @@ def bench_table(bench: Mapping[str, Any]) -> str:
     note = (
         f"{bench['scans']} scans, {bench['points']:,} points, median of {bench['rounds']} rounds in turns, CPU ms "
         f"a scan on one core of {bench['machine']['processor']}, by `{' '.join(words)}`. A dash: the codec keeps no "
-        "order, so no point's error is known."
+        "order, so no point's error is known; or not all points. Bits are per point of the scans, all of them."
     )
     return f"{Table(BENCH, 'Bench', columns, rows).to_markdown()}\n\n{note}"
 

@@ -42,7 +42,7 @@ def sequence_table(report: Report) -> Table:
         Column("decode_ms_per_scan", "decode, ms", ".0f"),
     )
     note = (
-        "bpp: bits per input point, all bytes of the archive file counted. CR: eq. (23), of 16 bytes per input "
+        "bpp: bits per input point, all bytes of the archive file counted but labels and side files. CR: eq. (23), of 16 bytes per input "
         "point. Errors: 3-D, point by point in file order, of what the archive decodes to. Dropped: points that "
         "the task does not keep. Times: CPU of one core, median a scan."
     )
