@@ -22,7 +22,8 @@ from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 
 FUZZ = Path(__file__).parent / "fuzz"
 READERS = (
-    "payload", "payload of another sensor", "payload of a movable layer", "labels", "payload of the paper profile",
+    "payload", "payload of another sensor", "payload of a movable layer", "labels", "strays that are told",
+    "payload of the paper profile",
     "archive", "archive, recovered", "shard",
     ".bin", ".pcd.bin", ".label",
     "times.txt", "timestamps.txt", "poses.txt", "calib.txt", "manifest", "sensor model", "MCAP log", "ROS 1 bag",

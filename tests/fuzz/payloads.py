@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 from mutate import mutate_payload
 from target import Target, Wrong
 
+from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import GridSweep
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
@@ -31,8 +33,10 @@ from salpcc.stages.residual_code.sensor import header
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 from salpcc.stages.segment.task import quantise, split
+from salpcc.stages.strays.stray_coder import decode_strays
 
-SENSOR = load_sensor("hdl64e")
+SENSOR, PANDAR = load_sensor("hdl64e"), load_sensor("pandar64")
+TOLD = Path(__file__).parents[1] / "golden" / "told"
 _crcs: dict[Path, list[int]] = {}
 
 
@@ -158,10 +162,23 @@ def _read_labels(which: int, data: bytes, folder: Path) -> None:
         raise Wrong("labels decoded to others")
 
 
+def _told(folder: Path) -> list[bytes]:
+    """Strays whose lasers and times are told: moved by their times, and of sensors merged."""
+    return [(TOLD / name).read_bytes() for name in ("moved.bin", "timed.bin")]
+
+
+def _read_told(which: int, data: bytes, folder: Path) -> None:
+    number = json.loads((TOLD / "expected.json").read_text())["n"]
+    *_, sound = decode_strays(number, 0.0, np.frombuffer(bytearray(data), np.uint8), PANDAR)
+    if not sound:  # what is sound and other than it was, the checksum of its payload finds
+        raise ArchiveError("stray points do not decode")
+
+
 TARGETS = {
     "payload": Target(_sensor_profile, _read, 0.4, mutate_payload),
     "payload of another sensor": Target(_aimed, _read_aimed, 0.1, mutate_payload),
     "payload of a movable layer": Target(_movable_layers, _read_movable, 0.1, mutate_payload),
     "labels": Target(_labels, _read_labels, 0.1, mutate_payload),
+    "strays that are told": Target(_told, _read_told, 0.05),
     "payload of the paper profile": Target(_paper_profile, _read, 0.04, mutate_payload),
 }
