@@ -16,9 +16,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ShardError, UsageError
+from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS, MOVABLE, OTHER
+from salpcc.stages.evaluate.report.record import read_stamped
 
 F64 = NDArray[np.float64]
 VERSION = 1
@@ -172,13 +173,4 @@ def read_catalogue(out: Path) -> pa.Table:
     path = catalogue_path(out)
     if not path.exists():
         raise UsageError(f"{path}: not there; `salpcc-pipeline run` leaves one in its --out")
-    try:
-        table = pq.read_table(pa.BufferReader(path.read_bytes()))
-    except (OSError, pa.ArrowInvalid) as error:
-        raise ShardError(f"{path}: not readable as Parquet ({error}); run the command again") from error
-    version = int((table.schema.metadata or {}).get(_VERSION_KEY, b"0"))
-    if version > VERSION:
-        raise ShardError(
-            f"{path}: written by version {version}, this tool reads up to {VERSION}; update the tool"
-        )
-    return table
+    return read_stamped(path, _VERSION_KEY, VERSION)

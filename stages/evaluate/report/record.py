@@ -60,16 +60,25 @@ def recorded(out: Path, name: str) -> pa.Table:
     path = out / "report" / f"{name}.parquet"
     if not path.exists():
         return SCHEMAS[name].empty_table()
+    return _complete(read_stamped(path, _VERSION_KEY, VERSION), SCHEMAS[name])
+
+
+def read_stamped(path: Path, key: bytes, newest: int) -> pa.Table:
+    """Read a Parquet file whose metadata say its version under ``key``, versions up to ``newest``.
+
+    Raises:
+        ShardError: the file is unreadable or comes from a newer version.
+    """
     try:
         table = pq.read_table(pa.BufferReader(path.read_bytes()))
     except (OSError, pa.ArrowInvalid) as error:
         raise ShardError(f"{path}: not readable as Parquet ({error}); run the command again") from error
-    version = int((table.schema.metadata or {}).get(_VERSION_KEY, b"0"))
-    if version > VERSION:
+    version = int((table.schema.metadata or {}).get(key, b"0"))
+    if version > newest:
         raise ShardError(
-            f"{path}: written by version {version}, this tool reads up to {VERSION}; update the tool"
+            f"{path}: written by version {version}, this tool reads up to {newest}; update the tool"
         )
-    return _complete(table, SCHEMAS[name])
+    return table
 
 
 def with_earlier(
