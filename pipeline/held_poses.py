@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,6 +18,22 @@ from salpcc.stages.residual_code.archive.reader import ArchiveReader
 _FILES = ("poses.txt", "calib.txt")
 
 
+@contextmanager
+def unpacked_poses(reader: ArchiveReader) -> Iterator[Path | None]:
+    """Lay poses.txt, with calib.txt beside it, in a folder for a while; None where the archive lacks one of them.
+
+    Raises:
+        ArchiveError: a side file is damaged.
+    """
+    if not set(_FILES) <= set(reader.side):
+        yield None
+        return
+    with TemporaryDirectory() as folder:
+        for name in _FILES:
+            (Path(folder) / name).write_bytes(reader.side_file(name).data)
+        yield Path(folder) / _FILES[0]
+
+
 def held_poses(reader: ArchiveReader) -> dict[str, NDArray[np.float64]]:
     """Return the sensor's pose ``(4, 4)`` by the name of its scan, x ahead, y left, z up in the first frame of the file.
 
@@ -24,15 +42,13 @@ def held_poses(reader: ArchiveReader) -> dict[str, NDArray[np.float64]]:
     Raises:
         ArchiveError: a side file is damaged.
     """
-    if not set(_FILES) <= set(reader.side):
-        return {}
-    with TemporaryDirectory() as folder:
-        for name in _FILES:
-            (Path(folder) / name).write_bytes(reader.side_file(name).data)
+    with unpacked_poses(reader) as path:
         try:
-            poses = read_poses(Path(folder) / _FILES[0])
+            poses = None if path is None else read_poses(path)
         except SourceError:  # such as of another kind
-            return {}
+            poses = None
+    if poses is None:
+        return {}
     names = [entry.name for gop in reader.gops for entry in gop]
     numbers = {name: frame_number(name, place) for place, name in enumerate(names)}
     return {name: poses[n] for name, n in numbers.items() if n < len(poses) and np.isfinite(poses[n]).all()}

@@ -10,13 +10,13 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.cut import check_new
+from salpcc.pipeline.held_poses import unpacked_poses
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, MOVABLE, known_classes
@@ -206,16 +206,16 @@ def _poses(reader: ArchiveReader, given: Path | None) -> NDArray[np.float64]:
             return poses_of(names, read_poses(given), given)
         except SourceError as error:
             raise _no_poses(str(error)) from error
-    if not {"poses.txt", "calib.txt"} <= reader.side.keys():
-        raise UsageError(f"{reader.path}: it holds no poses.txt and calib.txt; name the poses with --poses")
-    with TemporaryDirectory() as folder:
-        for name in ("poses.txt", "calib.txt"):
-            (Path(folder) / name).write_bytes(reader.side_file(name).data)
-        path = Path(folder) / "poses.txt"
+    with unpacked_poses(reader) as path:
+        if path is None:
+            raise UsageError(
+                f"{reader.path}: it holds no poses.txt and calib.txt; name the poses with --poses"
+            )
         try:
             return poses_of(names, read_poses(path), path)
         except SourceError as error:
-            raise _no_poses(f"{reader.path}: {str(error).replace(f'{folder}/', 'side file ')}") from error
+            what = str(error).replace(f"{path.parent}/", "side file ")
+            raise _no_poses(f"{reader.path}: {what}") from error
 
 
 def _no_poses(what: str) -> SourceError:
