@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from salpcc.pipeline.store import read_shard
+from salpcc.pipeline.schedule.store import read_shard
 from salpcc.pipeline.verify import layer_sizes
 from salpcc.stages.residual_code.archive.format import ScanEntry
 from salpcc.stages.residual_code.archive.reader import ArchiveReader

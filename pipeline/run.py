@@ -11,16 +11,16 @@ from typing import Any
 
 import pyarrow as pa
 
-from salpcc.pipeline.catalogue import catalogue_of, write_catalogue
-from salpcc.pipeline.cluster import check_device, connect
 from salpcc.pipeline.encode import resolve
-from salpcc.pipeline.graph import Graph, GraphOptions, Outcome
+from salpcc.pipeline.find.catalogue import catalogue_of, write_catalogue
+from salpcc.pipeline.graph.graph import Graph, GraphOptions, Outcome
+from salpcc.pipeline.graph.sequence import archive_path
 from salpcc.pipeline.held_poses import held_poses
-from salpcc.pipeline.lock import locked
-from salpcc.pipeline.plan import SequencePlan, plan_run
-from salpcc.pipeline.progress import STDERR, Report, Silent, bar
-from salpcc.pipeline.sequence import archive_path
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.plan.plan import SequencePlan, plan_run
+from salpcc.pipeline.schedule.cluster import check_device, connect
+from salpcc.pipeline.schedule.lock import locked
+from salpcc.pipeline.schedule.progress import STDERR, Report, Silent, bar
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.config import UNBOUNDED, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic, is_url

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import decode_groups
-from salpcc.pipeline.logs import compare_log
-from salpcc.pipeline.plan import missing_root
-from salpcc.pipeline.redact import check_redacted
-from salpcc.pipeline.side_files import compare_side
+from salpcc.pipeline.edit.redact import check_redacted
+from salpcc.pipeline.plan.logs import compare_log
+from salpcc.pipeline.plan.plan import missing_root
+from salpcc.pipeline.plan.side_files import compare_side
 from salpcc.schemas.config import GRID_ACCURACY
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE

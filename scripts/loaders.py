@@ -18,7 +18,7 @@ from torch import Generator, Tensor, from_numpy
 from torch.utils.data import DataLoader, Dataset
 
 from salpcc import Archive
-from salpcc.pipeline.file_system import ArchiveFileSystem
+from salpcc.pipeline.files.file_system import ArchiveFileSystem
 from salpcc.torch import GroupSampler, ScanDataset, ScanStream
 
 

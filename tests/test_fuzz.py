@@ -57,7 +57,7 @@ def test_damaged_input_is_refused(name: str, fuzz: ModuleType) -> None:
 
 
 def test_a_reader_that_takes_anything_is_found_out(fuzz: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("salpcc.pipeline.store.content_crc", lambda table: 0)
+    monkeypatch.setattr("salpcc.pipeline.schedule.store.content_crc", lambda table: 0)
     wrong = fuzz.fuzz("shard", 200, seed=7, memory=None)
     assert wrong is not None and "a damaged shard gave another table" in wrong
 

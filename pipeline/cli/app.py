@@ -18,7 +18,7 @@ from salpcc.pipeline.cli import parts as cli_parts
 from salpcc.pipeline.cli import run_log as cli_log
 from salpcc.pipeline.cli import run_sequences as cli_run
 from salpcc.pipeline.cli import train_networks as cli_train
-from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.errors import LogWarning, SalpccError, UsageError
 from salpcc.schemas.files import unreachable, why
 

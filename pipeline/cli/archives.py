@@ -14,8 +14,8 @@ from rich.console import Console
 from salpcc.pipeline.cli.described import show_archive, show_shard
 from salpcc.pipeline.cli.run_options import PLACE, parse_frames
 from salpcc.pipeline.cli.summary import layers_in_words
-from salpcc.pipeline.machine import cores
-from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.schedule.machine import cores
+from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location
 
@@ -79,7 +79,7 @@ def decode(
     """Turn an archive back into scans, bit for bit where it was made so."""
     from salpcc.pipeline.archive import Archive
     from salpcc.pipeline.export import EXPORTS
-    from salpcc.pipeline.laz_export import to_laz
+    from salpcc.pipeline.export.laz import to_laz
 
     if to not in EXPORTS:
         raise UsageError(f"--to {to}: choose from {', '.join(EXPORTS)}")
@@ -195,8 +195,8 @@ def redact(
     ] = None,
 ) -> None:
     """Take out what may move; the static layer stays byte for byte, which the manifest proves."""
-    from salpcc.pipeline.redact import Selection, describe, manifest_path
-    from salpcc.pipeline.redact import redact as redact_archive
+    from salpcc.pipeline.edit.redact import Selection, describe, manifest_path
+    from salpcc.pipeline.edit.redact import redact as redact_archive
     from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
     chosen = Selection(
@@ -226,7 +226,7 @@ def recover(
     json_: Json = False,
 ) -> None:
     """Save every scan that is whole from a truncated or damaged archive, and name the others."""
-    from salpcc.pipeline.recover import recover as recover_archive
+    from salpcc.pipeline.edit.recover import recover as recover_archive
     from salpcc.stages.lattice.sensor_model import load_sensor
 
     found = recover_archive(archive, out, load_sensor(sensor) if sensor else None)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import atomic, location
@@ -63,7 +63,7 @@ def calibrate(
     scans: Annotated[int, typer.Option(min=1, help="Use at most so many scans, evenly spread.")] = 40,
 ) -> None:
     """Find the lasers, steps and lever arms of any spinning LiDAR from its scans alone, and write them as a sensor model."""
-    from salpcc.pipeline.calibration import calibrate_log, summary
+    from salpcc.pipeline.sensors.calibration import calibrate_log, summary
 
     if not log.exists():
         raise UsageError(f"{log}: not found; name a folder of scans, a scan, or a log")

@@ -10,7 +10,7 @@ import typer
 
 from salpcc.pipeline.cli.archives import Json, Path_
 from salpcc.pipeline.cli.run_options import parse_frames
-from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
@@ -63,9 +63,9 @@ def find(
     json_: Json = False,
 ) -> None:
     """Find scans in the catalogue that runs leave: by what was seen, by motion, size, or any other column."""
-    from salpcc.pipeline.catalogue import read_catalogue
-    from salpcc.pipeline.find import find as find_scans
-    from salpcc.pipeline.find import named_columns
+    from salpcc.pipeline.find.catalogue import read_catalogue
+    from salpcc.pipeline.find.find import find as find_scans
+    from salpcc.pipeline.find.find import named_columns
 
     folder = out.parent if out.suffix == ".parquet" else out
     catalogue = read_catalogue(folder)
@@ -78,7 +78,7 @@ def find(
             typer.echo(line)
         STDERR.print(f"{len(found):,} of {len(catalogue):,} scans", highlight=False)
     if export is not None and len(found):
-        from salpcc.pipeline.export_found import export_found
+        from salpcc.pipeline.find.export_found import export_found
 
         for path, counts in export_found(found, folder, export):
             STDERR.print(f"{path}: {counts.told}", soft_wrap=True, markup=False, highlight=False)
@@ -126,8 +126,8 @@ def cut(
     ] = None,
 ) -> None:
     """Take a part of an archive; coded scans are copied, only a group that is cut into is coded anew."""
-    from salpcc.pipeline.cut import Selection
-    from salpcc.pipeline.cut import cut as cut_archive
+    from salpcc.pipeline.edit.cut import Selection
+    from salpcc.pipeline.edit.cut import cut as cut_archive
 
     selection = Selection(parse_frames(frames), _seconds(time), tuple(topic or ()))
     if selection == Selection():
@@ -155,7 +155,7 @@ def merge(
     out: New,
 ) -> None:
     """Put archives of one sensor together, ordered by time where they are of one sequence; coded scans are copied."""
-    from salpcc.pipeline.merge import merge as merge_archives
+    from salpcc.pipeline.edit.merge import merge as merge_archives
 
     typer.echo(f"{merge_archives(archives, out).told}: {out}")
 
@@ -172,7 +172,7 @@ def mount(
 ) -> None:
     """Show archives as the files of SemanticKITTI, decoded when they are read, until Ctrl-C or umount."""
     require("files", "mount")
-    from salpcc.pipeline.mount import mount as mount_archives
+    from salpcc.pipeline.files.mount import mount as mount_archives
 
     STDERR.print(f"{archives} is {folder} until Ctrl-C or `umount {folder}`", soft_wrap=True, markup=False)
     mount_archives(archives, folder, cast("Layers", layers))

@@ -102,11 +102,11 @@ def log(
 ) -> None:
     """Encode the point clouds of a log, keep its other topics as they are, measure, and write a report."""
     require("run", "run")
-    from salpcc.pipeline.progress import STDERR, starting
+    from salpcc.pipeline.schedule.progress import STDERR, starting
 
     with starting():
-        from salpcc.pipeline.choose_sensor import AUTO, choose_sensor
         from salpcc.pipeline.run import RunRequest
+        from salpcc.pipeline.sensors.choose_sensor import AUTO, choose_sensor
         from salpcc.schemas.file_kind import kind_of
         from salpcc.stages.evaluate.baselines import names as baseline_names
         from salpcc.stages.ingest.sources.bag import Bag

@@ -15,7 +15,7 @@ from salpcc.schemas.files import location
 from salpcc.schemas.work import STAGES
 
 if TYPE_CHECKING:
-    from salpcc.pipeline.graph import GraphOptions
+    from salpcc.pipeline.graph.graph import GraphOptions
 
 PLACE = "DIR|URL"
 
@@ -176,7 +176,7 @@ def config_of(**values: object) -> RunConfig:
 
 def stages_of(first: str | None, last: str, keep: bool, overwrite: bool) -> GraphOptions:
     """Check how far a run goes."""
-    from salpcc.pipeline.graph import GraphOptions
+    from salpcc.pipeline.graph.graph import GraphOptions
 
     for option, stage in (("--from", first), ("--to", last)):
         if stage is not None and stage not in STAGES:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from salpcc.pipeline.cli.summary import summary
-from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.schedule.progress import STDERR
 
 if TYPE_CHECKING:
     from salpcc.pipeline.run import RunRequest, RunResult

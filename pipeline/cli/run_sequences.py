@@ -41,7 +41,7 @@ from salpcc.pipeline.cli.run_options import (
     stages_of,
 )
 from salpcc.pipeline.cli.run_result import execute
-from salpcc.pipeline.progress import starting
+from salpcc.pipeline.schedule.progress import starting
 from salpcc.schemas.config import Coder, Labels, Profile
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salpcc.pipeline.progress import STDERR
+from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.config import Effort
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require

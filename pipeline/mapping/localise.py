@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from salpcc.pipeline.cluster import connect
-from salpcc.pipeline.flow import each
-from salpcc.pipeline.lock import locked
 from salpcc.pipeline.mapping.localise_tasks import Rival, Stretch, calibrate, register_stretch
 from salpcc.pipeline.mapping.make_map import NO_CLASSES
 from salpcc.pipeline.mapping.map_plan import F64
-from salpcc.pipeline.plan import missing_root
-from salpcc.pipeline.progress import Report, Silent, bar
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.plan.plan import missing_root
+from salpcc.pipeline.schedule.cluster import connect
+from salpcc.pipeline.schedule.flow import each
+from salpcc.pipeline.schedule.lock import locked
+from salpcc.pipeline.schedule.progress import Report, Silent, bar
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report.schema import REGISTRATION

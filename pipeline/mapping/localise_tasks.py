@@ -13,7 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef, ShardRef, digest_of

@@ -9,9 +9,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
-from salpcc.pipeline.cluster import connect
-from salpcc.pipeline.las import coordinate_system
-from salpcc.pipeline.lock import locked
+from salpcc.pipeline.export.las import coordinate_system
 from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
 from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
 from salpcc.pipeline.mapping.map_request import MapRequest
@@ -21,8 +19,10 @@ from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.mapping.map_tiles import TileResult
 from salpcc.pipeline.mapping.map_track import Track
 from salpcc.pipeline.mapping.map_write import write_whole
-from salpcc.pipeline.progress import Report, Silent, bar
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.cluster import connect
+from salpcc.pipeline.schedule.lock import locked
+from salpcc.pipeline.schedule.progress import Report, Silent, bar
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.files import atomic
 from salpcc.schemas.version import TOOL
 from salpcc.schemas.work import digest_of

@@ -8,12 +8,12 @@ import laspy
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.las import coordinate_system, text_record
+from salpcc.pipeline.export.las import coordinate_system, text_record
 from salpcc.pipeline.mapping.map_frame import Frame, frame_of
 from salpcc.pipeline.mapping.map_plan import MapPlan
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.files import atomic
 from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT, Built
 from salpcc.stages.mapping.picture import removed_picture

@@ -10,9 +10,9 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from salpcc.pipeline.las import coordinate_system, intensity_text, las_intensity, text_record
+from salpcc.pipeline.export.las import coordinate_system, intensity_text, las_intensity, text_record
+from salpcc.pipeline.export.ply import write_ply
 from salpcc.pipeline.mapping.map_frame import Frame
-from salpcc.pipeline.ply import write_ply
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import ASPRS_OF_CLASS, CLASSES
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salpcc.pipeline.archive import Archive
-from salpcc.pipeline.las import intensity_factors
+from salpcc.pipeline.export.las import intensity_factors
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from salpcc.pipeline.mapping.map_store import (
     write_blocks,
 )
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
-from salpcc.pipeline.plan import missing_root
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.plan.plan import missing_root
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef, ShardRef, digest_of

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from salpcc.pipeline.archive import Layers, decode_scans
 from salpcc.pipeline.mapping.map_plan import Group
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.mapping.config import MapConfig

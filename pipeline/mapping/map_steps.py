@@ -7,7 +7,6 @@ from typing import Any
 
 from distributed import Client
 
-from salpcc.pipeline.flow import each
 from salpcc.pipeline.mapping.map_frame import frame_of
 from salpcc.pipeline.mapping.map_plan import ODOMETRY, Group, MapPlan
 from salpcc.pipeline.mapping.map_quality import (
@@ -23,7 +22,8 @@ from salpcc.pipeline.mapping.map_submaps import Submap, gather_group
 from salpcc.pipeline.mapping.map_tiles import TileResult, build_tile, parts_of
 from salpcc.pipeline.mapping.map_track import Prepared, Track, prepare_group, read_track, track
 from salpcc.pipeline.mapping.map_write import clear
-from salpcc.pipeline.progress import Report
+from salpcc.pipeline.schedule.flow import each
+from salpcc.pipeline.schedule.progress import Report
 from salpcc.schemas.errors import SourceError
 from salpcc.stages.mapping.agree import Agreement
 from salpcc.stages.mapping.refine import PoseCheck

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.work import ShardRef
 from salpcc.stages.mapping.build import Built

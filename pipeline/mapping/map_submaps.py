@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_plan import Group
 from salpcc.pipeline.mapping.map_scans import content_of, scans_of
 from salpcc.pipeline.mapping.map_store import (
@@ -19,7 +18,8 @@ from salpcc.pipeline.mapping.map_store import (
     whole_metres,
     write_blocks,
 )
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.machine import peak_mb
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.gather import gather

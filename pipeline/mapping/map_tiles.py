@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_export import WRITERS
 from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.mapping.map_store import (
@@ -20,7 +19,8 @@ from salpcc.pipeline.mapping.map_store import (
     table_to_views,
 )
 from salpcc.pipeline.mapping.map_submaps import Submap
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.machine import peak_mb
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT, Built, build
 from salpcc.stages.mapping.carve import REACH

@@ -13,10 +13,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.pipeline.machine import peak_mb
 from salpcc.pipeline.mapping.map_plan import Group
 from salpcc.pipeline.mapping.map_scans import content_of, scans_of
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.machine import peak_mb
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ShardRef, digest_of

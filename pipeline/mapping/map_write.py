@@ -15,7 +15,7 @@ from salpcc.pipeline.mapping.map_frame import frame_of
 from salpcc.pipeline.mapping.map_plan import F64, MapPlan
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
-from salpcc.pipeline.store import ShardStore
+from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.files import atomic
 from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report.schema import MAP_QUALITY, PICTURES

@@ -12,8 +12,8 @@ from payloads import small_scan
 from target import Target, Wrong
 
 from salpcc.pipeline import Archive, Scan, encode_scans
-from salpcc.pipeline.recover import recover
-from salpcc.pipeline.store import ShardStore, read_shard
+from salpcc.pipeline.edit.recover import recover
+from salpcc.pipeline.schedule.store import ShardStore, read_shard
 from salpcc.schemas.errors import SalpccError
 from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
 from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from salpcc.pipeline.archive import Archive
-from salpcc.pipeline.log_export import messages
+from salpcc.pipeline.export.log import messages
 from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
 from salpcc.stages.ingest.point_cloud import message_to_scan

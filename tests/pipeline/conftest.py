@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from salpcc.pipeline.graph import GraphOptions
+from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.log import LogMessage

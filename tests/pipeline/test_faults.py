@@ -19,10 +19,10 @@ import dask
 import psutil
 import pytest
 
-from salpcc.pipeline.cluster import connect
-from salpcc.pipeline.graph import GraphOptions
-from salpcc.pipeline.lock import locked
+from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.run import RunResult
+from salpcc.pipeline.schedule.cluster import connect
+from salpcc.pipeline.schedule.lock import locked
 
 Run = Callable[..., RunResult]
 KILLS = int(os.environ.get("SALPCC_KILLS", "3"))

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, encode_scans
 from salpcc.pipeline.cli.app import app
-from salpcc.pipeline.recover import recover
-from salpcc.pipeline.redact import Selection, redact
+from salpcc.pipeline.edit.recover import recover
+from salpcc.pipeline.edit.redact import Selection, redact
 from salpcc.pipeline.verify import verify
 from salpcc.schemas import files
 from salpcc.schemas.errors import ArchiveError, UsageError

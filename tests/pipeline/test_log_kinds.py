@@ -22,10 +22,11 @@ from rosbags.rosbag1.writer import Header
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.typesys import Stores, get_typestore
 
-from salpcc.pipeline import Archive, logs
+from salpcc.pipeline import Archive
 from salpcc.pipeline.cli.app import main
 from salpcc.pipeline.export import EXPORTS
-from salpcc.pipeline.graph import GraphOptions
+from salpcc.pipeline.graph.graph import GraphOptions
+from salpcc.pipeline.plan import logs
 from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.config import RunConfig
@@ -710,7 +711,7 @@ def _without_one(topic: str, path: Path, out: Path, monkeypatch: pytest.MonkeyPa
 
     with monkeypatch.context() as patch:
         patch.setattr(reader, "messages", all_but_one)
-        for where in ("salpcc.stages.ingest.sources.bag", "salpcc.pipeline.logs"):
+        for where in ("salpcc.stages.ingest.sources.bag", "salpcc.pipeline.plan.logs"):
             patch.setattr(f"{where}.differences", lambda *_: [])
         return run(path, out)
 

@@ -18,12 +18,13 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
-from salpcc.pipeline import Archive, digests
-from salpcc.pipeline.calibration import calibrate_log
+from salpcc.pipeline import Archive
 from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.export import EXPORTS
-from salpcc.pipeline.graph import GraphOptions
+from salpcc.pipeline.graph.graph import GraphOptions
+from salpcc.pipeline.plan import digests
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
+from salpcc.pipeline.sensors.calibration import calibrate_log
 from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
 from salpcc.schemas.config import RunConfig

@@ -11,11 +11,11 @@ from typing import NoReturn
 import pytest
 
 from salpcc.pipeline import run as module
-from salpcc.pipeline import sequence, tasks
-from salpcc.pipeline.graph import GraphOptions
-from salpcc.pipeline.lock import locked
-from salpcc.pipeline.progress import Silent
+from salpcc.pipeline.graph import sequence, tasks
+from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
+from salpcc.pipeline.schedule.lock import locked
+from salpcc.pipeline.schedule.progress import Silent
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import LockedError, SalpccError, UsageError

@@ -14,12 +14,13 @@ from mcap.writer import Writer
 from moto.server import ThreadedMotoServer
 from typer.testing import CliRunner
 
-from salpcc.pipeline import Archive, tasks
+from salpcc.pipeline import Archive
 from salpcc.pipeline.cli.app import app, main
 from salpcc.pipeline.export import EXPORTS
-from salpcc.pipeline.graph import GraphOptions
-from salpcc.pipeline.lock import locked
+from salpcc.pipeline.graph import tasks
+from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
+from salpcc.pipeline.schedule.lock import locked
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import LockedError, SalpccError, SourceError

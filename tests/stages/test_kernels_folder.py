@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from salpcc.pipeline import progress
+from salpcc.pipeline.schedule import progress
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = "import salpcc.stages, numba; print(numba.config.CACHE_DIR)"

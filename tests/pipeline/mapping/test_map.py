@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.encode import encode_scans
-from salpcc.pipeline.graph import GraphOptions
+from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.mapping import make_map as map_module
 from salpcc.pipeline.mapping import map_scans, map_tiles, map_track
 from salpcc.pipeline.mapping.localise import LocaliseRequest, localise

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from salpcc.pipeline.calibration import calibrate_log
+from salpcc.pipeline.sensors.calibration import calibrate_log
 from salpcc.schemas.errors import SensorError
 from salpcc.stages.ingest.calibrate.find_driver import share_identical
 from salpcc.stages.ingest.calibrate.fit_sensor import fit_sensor

@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from salpcc.pipeline.archive import Archive
-from salpcc.pipeline.log_export import messages
+from salpcc.pipeline.export.log import messages
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 

@@ -1,0 +1,1 @@
+"""Archives made of archives: cut, merged, redacted, recovered."""

@@ -1,0 +1,85 @@
+"""A shipped model is found on the first clouds of a log; what it is not of is left to the default."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salpcc.pipeline.sensors import choose_sensor as module
+from salpcc.pipeline.sensors.choose_sensor import OTHERWISE, choose_sensor
+from salpcc.schemas.scan import Scan
+from salpcc.schemas.work import ScanRef
+from salpcc.stages.lattice.lattice import driven
+from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
+
+SHIPPED = sorted(path.stem for path in SENSORS.glob("*.json"))
+
+
+@pytest.fixture
+def chosen(monkeypatch: pytest.MonkeyPatch):
+    """What is chosen for a log of one topic of such points."""
+
+    def choose(points: np.ndarray) -> tuple[str, float | None]:
+        class Log:
+            def scans(self, log, sequence, topics):
+                return [ScanRef(f"{i:06d}", i, i, str(log), topic="/points") for i in range(2)]
+
+            def read(self, ref, with_labels):
+                return Scan(ref.name, points, np.zeros(len(points), np.float32))
+
+        monkeypatch.setattr(module, "Bag", Log)
+        return choose_sensor(Path("drive.mcap"), "drive", ())
+
+    return choose
+
+
+def cloud_of(sensor: SensorModel) -> np.ndarray:
+    """Points of a turn in a room, some firings without a return."""
+    rng = np.random.default_rng(0)
+    firings = 4000 // sensor.n_lasers + 20
+    laser = np.tile(np.arange(sensor.n_lasers), firings)
+    tick = np.repeat(np.arange(firings) * (sensor.ticks_per_turn // firings), sensor.n_lasers)
+    count = np.rint((6.0 + 3.0 * np.sin(tick / 3000) + rng.normal(0, 0.05, len(tick))) / sensor.count)
+    points = driven(sensor, laser.astype(np.uint8), tick.astype(np.int32), count).astype(np.float32)
+    points[rng.random(len(points)) < 0.1] = 0
+    return points
+
+
+@pytest.mark.parametrize("name", [name for name in SHIPPED if name != OTHERWISE])
+def test_finds_every_shipped_sensor(name: str, chosen) -> None:
+    assert chosen(cloud_of(load_sensor(name))) == (name, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["vlp16", "xt32", "hdl32e"])
+def test_finds_a_sensor_whose_driver_does_not_round_azimuths(name: str, chosen) -> None:
+    points = cloud_of(load_sensor(name)).astype(np.float64)
+    angle = np.radians(np.random.default_rng(1).uniform(-0.005, 0.005, len(points)))
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
+    turned = np.stack([x, y, points[:, 2]], axis=1).astype(np.float32)
+    found = chosen(turned)
+    assert found.name == name
+    assert found.share > 0.9
+    assert found.within > 0.0
+
+
+def test_takes_the_default_for_what_it_does_not_know(chosen) -> None:
+    unknown = np.random.default_rng(0).uniform(-20, 20, (4000, 3)).astype(np.float32)
+    assert chosen(unknown) == (OTHERWISE, 0.0, 0.0)
+    assert chosen(unknown[:0]) == (OTHERWISE, None, 0.0)  # nothing to tell by
+
+
+RECORDINGS = {
+    "vlp16_tier4": "vlp16",
+    "hdl32_mrpt": "hdl32e",
+    "hesai_xt32m": "xt32m",
+    "hesai_at128": OTHERWISE,
+}
+
+
+@pytest.mark.parametrize("name", sorted(RECORDINGS))
+def test_takes_the_sensor_of_recordings(name: str, real_data: Path) -> None:
+    log = real_data / "sensors" / f"{name}.mcap"
+    if not log.is_file():
+        pytest.skip(f"{log} is not there")
+    assert choose_sensor(log, name, ())[0] == RECORDINGS[name]
