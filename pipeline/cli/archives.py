@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from rich.console import Console
 
+from salpcc.pipeline.cli.boxes import METAVAR as BOX
+from salpcc.pipeline.cli.boxes import parse_box
 from salpcc.pipeline.cli.described import show_archive, show_shard
 from salpcc.pipeline.cli.run_options import PLACE, parse_frames
 from salpcc.pipeline.cli.summary import layers_in_words
@@ -183,9 +185,7 @@ def redact(
     ] = None,
     box: Annotated[
         str | None,
-        typer.Option(
-            metavar="X0,Y0,Z0,X1,Y1,Z1", help="Within this box only, metres in the frame of the poses."
-        ),
+        typer.Option(metavar=BOX, help="Within this box only, metres in the frame of the poses."),
     ] = None,
     poses: Annotated[
         Path | None,
@@ -200,17 +200,12 @@ def redact(
     from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
     chosen = Selection(
-        parse_frames(frames), tuple(classes.split(",")) if classes else (), _box(box) if box else ()
+        parse_frames(frames),
+        tuple(classes.split(",")) if classes else (),
+        parse_box("--box", box) if box else (),
     )
     manifest = redact_archive(archive, out, chosen, poses)
     typer.echo(f"{describe(manifest, ArchiveReader(out))}\narchive: {out}\nmanifest: {manifest_path(out)}")
-
-
-def _box(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(number) for number in text.split(","))
-    except ValueError as error:
-        raise UsageError(f"--box {text}: expected six numbers x0,y0,z0,x1,y1,z1 in metres") from error
 
 
 def recover(

@@ -15,6 +15,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from salpcc.pipeline.cli.boxes import METAVAR as BOX
+from salpcc.pipeline.cli.boxes import parse_box
 from salpcc.pipeline.cli.run_options import Scheduler, Workers
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
@@ -99,6 +101,13 @@ def map_(
             help="Write what was removed, too: tiles with reason, witnesses and score, a picture.",
         ),
     ] = False,
+    within: Annotated[
+        str | None,
+        typer.Option(
+            metavar=BOX,
+            help="Make only what lies in this box, metres in the frame of the poses, as LAZ has it.",
+        ),
+    ] = None,
     against: Annotated[
         Path | None, typer.Option(help="Score the map by the labels of the data that lie here.")
     ] = None,
@@ -137,6 +146,7 @@ def map_(
                 "carve": carve,
                 "fill": fill_ground,
                 "tile": tile,
+                "within": parse_box("--within", within) if within else None,
             }
         )
     except ValidationError as error:

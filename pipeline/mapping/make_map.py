@@ -69,8 +69,7 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         cpu_s = 1e-3 * (track_ms + sum(s.cpu_ms for s in submaps) + sum(t.cpu_ms for t in tiles))
         rows: list[dict[str, Any]] = []
         if refs is not None:
-            groups = list(zip(plan.groups, refs, strict=True))
-            rows = score_all(client, plan, groups, found, tiles, request, report, cpu_s)
+            rows = score_all(client, plan, refs, found, tiles, request, report, cpu_s)
             if len(untold) == len(request.archives):  # they dropped nothing: that was not measured
                 rows = [row for row in rows if row["cleaner"] != CLASSES_ONLY]
         write_whole(request, plan, store, tiles, found.poses, rows)

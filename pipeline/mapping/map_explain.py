@@ -40,8 +40,7 @@ def explain(request: MapRequest, plan: MapPlan, store: ShardStore, tiles: list[T
         if tile.ref is None or not tile.carved_or_dropped:
             continue
         built = read_tile(store, tile.ref)
-        gone = built.against != 0
-        removed = Built(built.voxels[gone], built.against[gone], built.through[gone], built.met[gone])
+        removed = built[built.against != 0]
         _write(removed, tile.tile.corner(request.config.tile), frame, folder / f"{tile.tile.name}.laz")
         parts.append(removed.voxels)
         reasons.append(removed.against)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.gather import in_range, still
 from salpcc.stages.mapping.poses import move
 from salpcc.stages.mapping.score import Tally, Truth, quality, tally, truth_of_labels
-from salpcc.stages.mapping.tiles import Tile, blocks_of
+from salpcc.stages.mapping.tiles import Box, Tile, blocks_of
 from salpcc.stages.mapping.voxel import keys_of
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
@@ -86,9 +86,10 @@ def truth_group(
     poses: tuple[float, ...],
     motions: tuple[float, ...],
     config: MapConfig,
+    within: Box | None,
     out: Path,
 ) -> TruthRef:
-    """De-skew and place the labelled points of a group's source scans and count them by voxel."""
+    """De-skew and place the labelled points of a group's source scans and count them by voxel, within a box of the map's frame."""
     store = ShardStore(out)
     digest = digest_of(
         VERSION,
@@ -98,6 +99,7 @@ def truth_group(
         poses,
         motions,
         config.model_dump(mode="json"),
+        within and asdict(within),
     )
     ref = store.ref(group.sequence, "truth", group.number, digest)
     if not store.has(ref):
@@ -106,6 +108,9 @@ def truth_group(
         ]
         tiles, batches = [], []
         whole = _joined(truth)
+        if within is not None:
+            inside = within.holds(whole[0])
+            whole = whole[0][inside], whole[1][inside]
         for tile, part in blocks_of(whole[0], config.tile):
             counts = Truth.of_points(whole[0][part], whole[1][part], config.voxel)
             if len(counts.keys):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
 from distributed import Client
 
 from salpcc.pipeline.mapping.map_frame import frame_of
@@ -24,10 +25,13 @@ from salpcc.pipeline.mapping.map_track import Prepared, Track, prepare_group, re
 from salpcc.pipeline.mapping.map_write import clear
 from salpcc.pipeline.schedule.flow import each
 from salpcc.pipeline.schedule.progress import Report
-from salpcc.schemas.errors import SourceError
+from salpcc.schemas.errors import SourceError, UsageError
+from salpcc.schemas.work import ScanRef
 from salpcc.stages.mapping.agree import Agreement
 from salpcc.stages.mapping.refine import PoseCheck
 from salpcc.stages.mapping.score import Tally
+
+_TURN = 5.0  # metres that a scan is moved by at most when it is de-skewed
 
 
 def track_all(client: Client, plan: MapPlan, request: MapRequest, report: Report) -> tuple[Track, float]:
@@ -90,18 +94,44 @@ def _refuse_foreign(plan: MapPlan, agreements: Sequence[Agreement]) -> None:
 def gather_all(
     client: Client, plan: MapPlan, found: Track, request: MapRequest, report: Report
 ) -> list[Submap]:
-    """Gather all groups."""
+    """Gather all groups that see anything of what is to be made.
+
+    Raises:
+        UsageError: none does.
+    """
     submaps: dict[int, Submap] = {}
-    work, at = [], 0
+    chosen = [group for group, _ in near(plan, found, request)]
+    if not chosen:
+        raise UsageError(_nowhere(plan, found, request))
+    report.advance(plan.n_scans - sum(len(group.names) for group in chosen), f"{plan.sequence}: placed")
+    work = [(group, *found.of(own), request.config, request.out) for group, own in near(plan, found, request)]
+    for at, submap in each(client, gather_group, work, [f"gather-{group.number:05d}" for group in chosen]):
+        submaps[at] = submap
+        names = chosen[at].names
+        report.advance(len(names), f"{chosen[at].sequence}: gathered scans {names[0]} to {names[-1]}")
+    return [submaps[at] for at in range(len(work))]
+
+
+def near(plan: MapPlan, found: Track, request: MapRequest) -> Iterator[tuple[Group, slice]]:
+    """Choose the groups of which a scan reaches what is to be made, each with its place in the trajectory."""
+    box, at = request.config.box(plan.origin), 0
     for group in plan.groups:
         own = slice(at, at + len(group.names))
-        work.append((group, *found.of(own), request.config, request.out))
         at = own.stop
-    for at, submap in each(client, gather_group, work, [f"gather-{g.number:05d}" for g in plan.groups]):
-        submaps[at] = submap
-        names = plan.groups[at].names
-        report.advance(len(names), f"{plan.groups[at].sequence}: gathered scans {names[0]} to {names[-1]}")
-    return [submaps[at] for at in range(len(work))]
+        if box is None or box.distance(found.poses[own, :3, 3]).min() <= request.config.max_range + _TURN:
+            yield group, own
+
+
+def _nowhere(plan: MapPlan, found: Track, request: MapRequest) -> str:
+    places = found.poses[:, :3, 3] + plan.origin
+    low, high = (
+        ",".join(f"{value:.1f}" for value in corner) for corner in (places.min(axis=0), places.max(axis=0))
+    )
+    wanted = ",".join(f"{value:g}" for value in request.config.within or ())
+    return (
+        f"--within {wanted}: no scan came within {request.config.max_range:g} m of it; the drive is in {low},{high} "
+        "(metres, in the frame of the poses)"
+    )
 
 
 def build_all(
@@ -114,6 +144,9 @@ def build_all(
     """Build all tiles that anything lies in."""
     config, size = request.config, request.config.tile
     names = sorted({tile for submap in submaps for box in submap.boxes for tile in box.tiles(size)})
+    within = config.box(plan.origin)
+    if within is not None:
+        names = [tile for tile in names if within.touches(tile, size)]
     facts = (
         plan.sequence,
         config,
@@ -134,7 +167,7 @@ def build_all(
 def score_all(
     client: Client,
     plan: MapPlan,
-    groups: Sequence[tuple[Group, Any]],
+    refs: Sequence[Sequence[ScanRef]],
     found: Track,
     tiles: list[TileResult],
     request: MapRequest,
@@ -142,14 +175,15 @@ def score_all(
     cpu_s: float,
 ) -> list[dict[str, Any]]:
     """Tally the map, and those of public cleaners, against the labels of the source; return the table's rows."""
-    work, at = [], 0
-    for group, refs in groups:
-        work.append((group, refs, *found.of(slice(at, at + len(refs))), request.config, request.out))
-        at += len(refs)
+    box = request.config.box(plan.origin)
+    chosen = list(near(plan, found, request))
+    work = [
+        (group, refs[group.number], *found.of(own), request.config, box, request.out) for group, own in chosen
+    ]
     truths: dict[int, TruthRef] = {}
-    for place, truth in each(client, truth_group, work, [f"truth-{g.number:05d}" for g, _ in groups]):
+    for place, truth in each(client, truth_group, work, [f"truth-{g.number:05d}" for g, _ in chosen]):
         truths[place] = truth
-        report.advance(len(groups[place][0].names), f"{groups[place][0].sequence}: labels read")
+        report.advance(len(chosen[place][0].names), f"{chosen[place][0].sequence}: labels read")
     ordered = [truths[place] for place in range(len(work))]
     jobs = [
         (
@@ -164,7 +198,8 @@ def score_all(
     total: dict[str, Tally] = {}
     for _, counts in each(client, tally_tile, jobs, [f"tally-{t.tile.name}" for t in tiles]):
         total = {name: total.get(name, Tally()) + count for name, count in counts.items()}
-    every, whole = [ref for _, refs in groups for ref in refs], found.of(slice(None))
+    every = [ref for group, _ in chosen for ref in refs[group.number]]
+    whole = found.of(np.concatenate([np.r_[own] for _, own in chosen]))
     rivals = [(name, every, *whole, ordered, request.config, request.out) for name in request.rivals]
     beside = {request.rivals[at]: result for at, result in each(client, rival_tally, rivals, request.rivals)}
     return quality_rows(total, plan, tiles, cpu_s) + rival_rows(plan, beside)

@@ -62,7 +62,9 @@ def gather_group(
     store = ShardStore(out)
     content = content_of(group, config)
     relevant = {
-        k: v for k, v in config.model_dump().items() if k not in ("keep_movable", "fill", "refine_poses")
+        k: v
+        for k, v in config.model_dump().items()
+        if k not in ("keep_movable", "fill", "refine_poses", "within")
     }
     digest = digest_of(VERSION, content, group.sequence, group.names, poses, motions, relevant)
     entries = store.ref(group.sequence, "submap", group.number, digest)

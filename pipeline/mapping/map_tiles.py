@@ -79,14 +79,21 @@ def build_tile(
 ) -> TileResult:
     """Build a tile and write it in every format, unless all of it is there."""
     store = ShardStore(out)
+    within = config.box(frame.origin)
     digest = digest_of(
-        VERSION, [asdict(part) for part in parts], asdict(tile), config.model_dump(mode="json")
+        VERSION,
+        [asdict(part) for part in parts],
+        asdict(tile),
+        config.model_dump(mode="json"),
+        within and asdict(within),
     )
     ref = ShardRef(f"{sequence}/tile/{tile.name}-{digest[:16]}.arrow", digest)
     if not store.has(ref):
         started = time.process_time()
         corner = tile.corner(config.tile)
         built = build(*_read_parts(store, parts, tile, config), config)
+        if within is not None:
+            built = built[within.holds(built.voxels.xyz)]
         voxels, against = built.voxels, built.against
         facts = {
             "corner": corner.tolist(),

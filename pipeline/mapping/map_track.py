@@ -61,7 +61,7 @@ class Track:
     agreements: tuple[Agreement, ...]
     cpu_ms: float
 
-    def of(self, scans: slice) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def of(self, scans: slice | NDArray[np.intp]) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return poses and motions of some scans as plain numbers, 16 and 6 a scan."""
         return tuple(self.poses[scans].ravel().tolist()), tuple(self.motions[scans].ravel().tolist())
 

@@ -32,6 +32,10 @@ class Built:
     through: NDArray[np.uint16]
     met: NDArray[np.uint16]
 
+    def __getitem__(self, which: NDArray[np.bool_]) -> Built:
+        """Pick entries."""
+        return Built(self.voxels[which], self.against[which], self.through[which], self.met[which])
+
 
 def build(voxels: Voxels, views: list[View], config: MapConfig) -> Built:
     """Fuse entries of several submaps in the map's frame, and find what speaks against each."""

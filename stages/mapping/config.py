@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from salpcc.schemas.work import digest_of
+from salpcc.stages.mapping.tiles import Box
+
+# x0, y0, z0, x1, y1, z1
+Corners = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class MapConfig(BaseModel):
@@ -25,7 +30,21 @@ class MapConfig(BaseModel):
     carve: bool = Field(True, description="take out what several scans look through")
     fill: bool = Field(False, description="close small holes in the ground, as class SYNTHETIC")
     tile: float = Field(50.0, ge=5, le=1000, description="side of a tile")
+    within: Corners | None = Field(
+        None, description="x0, y0, z0, x1, y1, z1 in the frame of the poses: the part of the map that is made"
+    )
     view_every: float = Field(1.5, gt=0, description="way between the scans that carve")
+
+    @field_validator("within")
+    @classmethod
+    def _ordered(cls, box: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if box is not None and not all(low < high for low, high in zip(box, box[3:], strict=False)):
+            raise ValueError("six numbers x0,y0,z0,x1,y1,z1, the first three the lower ones")
+        return box
+
+    def box(self, origin: Sequence[float]) -> Box | None:
+        """Return ``within`` in the frame of a map with this ``origin`` ``(3,)``; None where the whole is made."""
+        return None if self.within is None else Box.of(self.within).moved([-value for value in origin])
 
     @property
     def digest(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,12 +47,36 @@ class Box:
     high: tuple[float, float, float]
 
     @classmethod
+    def of(cls, numbers: Sequence[float]) -> Box:
+        """Return the box of six numbers x0, y0, z0, x1, y1, z1."""
+        x0, y0, z0, x1, y1, z1 = map(float, numbers)
+        return cls((x0, y0, z0), (x1, y1, z1))
+
+    @classmethod
     def around(cls, xyz: F64) -> Box:
         """Return the box around at least one point ``(N, 3)``."""
         low, high = xyz.min(axis=0), xyz.max(axis=0)
         return cls(
             (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
         )
+
+    def moved(self, by: Sequence[float]) -> Box:
+        """Return it moved by a way ``(3,)``."""
+        return Box.of([*np.add(self.low, by), *np.add(self.high, by)])
+
+    def holds(self, xyz: F64) -> NDArray[np.bool_]:
+        """Mark the points ``(N, 3)`` that lie in it, the lower border included, the upper not."""
+        return np.asarray(((xyz >= self.low) & (xyz < self.high)).all(axis=1))
+
+    def distance(self, places: F64) -> F64:
+        """Return how far each of places ``(N, 3)`` lies from it; 0 inside."""
+        off = np.maximum(np.maximum(np.array(self.low) - places, places - np.array(self.high)), 0.0)
+        return np.asarray(np.linalg.norm(off, axis=1))
+
+    def touches(self, tile: Tile, size: float) -> bool:
+        """Tell whether anything of it lies in a tile."""
+        at = (tile.x, tile.y)
+        return all(self.low[i] < (at[i] + 1) * size and self.high[i] > at[i] * size for i in range(2))
 
     def tiles(self, size: float) -> set[Tile]:
         """Return the tiles that the box touches."""

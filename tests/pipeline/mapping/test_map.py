@@ -32,60 +32,14 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SalpccError, UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.report.downstream import registration_figures
-from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.untwist import untwist
-from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.gather import gather
 from salpcc.stages.mapping.poses import read_poses
 from salpcc.stages.mapping.voxel import keys_of
 
-SEQUENCE, SCANS = "07", 10
-CONFIG = MapConfig(voxel=0.2, max_range=40.0, tile=25.0)
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("drive")
-    config = SimulationConfig(sequence=SEQUENCE, scans=SCANS, seed=5, scene="city", movers=12, speed_mps=16.0)
-    simulate_sequence(config, folder, load_sensor("hdl64e"))
-    return folder
-
-
-@pytest.fixture(scope="module")
-def archive(root: Path) -> Path:
-    config = RunConfig(source="simulated", labels="given", keep_movable=True, effort="fast", gop=5)
-    graph = GraphOptions(last="residual_code")
-    result = run_sequences(
-        RunRequest(config, [SEQUENCE], root / "out", root, workers=0, graph=graph, quiet=True)
-    )
-    assert not result.failed
-    return root / "out" / "archives" / f"{SEQUENCE}.mcap"
-
-
-@pytest.fixture(scope="module")
-def poses(root: Path) -> Path:
-    return root / "sequences" / SEQUENCE / "poses.txt"
-
-
-@pytest.fixture(scope="module")
-def request_(archive: Path, poses: Path, root: Path) -> Callable[..., MapRequest]:
-    def make(out: Path, **changes: object) -> MapRequest:
-        plain = MapRequest(
-            [archive], out, CONFIG, [str(poses)], formats=["ply"], workers=0, keep_shards=True, quiet=True
-        )
-        return replace(plain, **changes)  # type: ignore[arg-type]
-
-    return make
-
-
-@pytest.fixture(scope="module")
-def made(request_: Callable[..., MapRequest], root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("map")
-    config = CONFIG.model_copy(update={"fill": True})
-    make_map(request_(out, config=config, against=root, formats=["laz", "ply", "pcd", "mcap"]))
-    return out
+from .conftest import CONFIG, SCANS, SEQUENCE
 
 
 def test_map_is_clean_and_whole(made: Path) -> None:
@@ -488,3 +442,37 @@ def test_voxels_that_would_have_the_key_of_others_are_refused() -> None:
         points[1, axis] = far
         with pytest.raises(SalpccError, match="choose a larger --voxel"):
             keys_of(points, 0.1)
+
+
+def test_a_part_of_a_map_is_that_of_the_whole(
+    request_: Callable[..., MapRequest], made: Path, root: Path, poses: Path, tmp_path: Path
+) -> None:
+    """What is made within a box is what the whole map has there, by its class and what other scans saw, to the bit."""
+    place = read_poses(poses)[4, :3, 3]
+    box = (*(place - [7.3, 11.1, 2.0]), *(place + [9.2, 6.4, 3.0]))
+    whole = make_map(request_(made, config=CONFIG.model_copy(update={"fill": True}), against=root,
+                              formats=["laz", "ply", "pcd", "mcap"]))  # fmt: skip
+    config = CONFIG.model_validate({**CONFIG.model_dump(), "fill": True, "within": box})
+    part = make_map(request_(tmp_path, config=config, against=root, explain=True))
+    assert 0 < part["voxels"]["kept"] < whole["voxels"]["kept"] / 4
+    assert 0 < part["voxels"]["dropped"] < whole["voxels"]["dropped"]
+
+    def rows(out: Path, tiles: list[str]) -> np.ndarray:
+        found = [PlyData.read(out / "tiles" / f"{tile}.ply")["vertex"].data for tile in tiles]
+        return np.sort(np.concatenate(found), order=["x", "y", "z"])
+
+    everything = rows(made, whole["tiles"])
+    xyz = np.column_stack([everything[axis] for axis in "xyz"])
+    inside = ((xyz >= box[:3]) & (xyz < box[3:])).all(axis=1)
+    np.testing.assert_array_equal(rows(tmp_path, part["tiles"]), everything[inside])
+    figures = {(row["cleaner"], row["truth"]): row for row in part["quality"]}
+    assert figures["ours", "moving"]["sa"] > 0.98 and figures["none", "moving"]["sa"] > 0.999
+
+
+def test_a_part_where_nothing_is_is_wrong_use(
+    request_: Callable[..., MapRequest], made: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(made / "shards", tmp_path / "shards")
+    config = CONFIG.model_validate({**CONFIG.model_dump(), "within": (500, 0, -5, 600, 50, 5)})
+    with pytest.raises(UsageError, match=r"no scan came within 40 m of it; the drive is in -?\d"):
+        make_map(request_(tmp_path, config=config))
