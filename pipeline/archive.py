@@ -14,187 +14,27 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from html import escape
-from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Literal, Self, get_args, overload
+from typing import Any, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ArchiveError, KindError, UsageError
+from salpcc.pipeline.decode import LAYERS, Layers, check_layers, decode_groups
+from salpcc.pipeline.decoded_groups import DecodedGroups
+from salpcc.schemas.errors import KindError, UsageError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.sweep import Sweep
 from salpcc.schemas.work import Movable
-from salpcc.stages.ingest.sources.velodyne_bin import NOMINAL_PERIOD_NS
 from salpcc.stages.lattice.frame import FRAMES, Frame
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.archive.format import ScanPayload, frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
-from salpcc.stages.residual_code.archive.salvage import Salvage
-from salpcc.stages.residual_code.gop import decode_any, layered_scan, scan_of
-from salpcc.stages.residual_code.label_coder import labelled
-from salpcc.stages.residual_code.sensor.gop_state import GopState
-from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 
-Layers = Literal["all", "static", "movable"]
-LAYERS: tuple[str, ...] = get_args(Layers)
-
-_FASTEST, _SLOWEST = 10**7, 10**9  # nanoseconds of a turn that can be
 _SHOWN = 5  # scans of each end in a notebook
-
-
-def check_layers(reader: ArchiveReader, layers: Layers) -> None:
-    """Refuse to open a layer that an archive does not hold.
-
-    Raises:
-        UsageError: so it is; the message says why.
-    """
-    if layers == "static" and reader.movable == "one layer":
-        raise UsageError(
-            f"{reader.path}: one layer, nothing tells what may move; encode it without --keep-movable"
-        )
-    if layers == "movable" and reader.movable != "layered":
-        what = "was dropped" if reader.movable == "dropped" else "is in one layer with the rest"
-        raise UsageError(f"{reader.path}: has no movable layer; what may move {what}")
-
-
-def decode_scans(
-    reader: ArchiveReader | Salvage,
-    gop: int,
-    layers: Layers = "all",
-    labels: bool = False,
-    frame: Frame = "recorded",
-) -> Iterator[Scan]:
-    """Decode the scans of one GOP, one after the other.
-
-    Args:
-        layers: ``static`` reads no byte of the movable layer's chunks; ``all`` is the scans as they were recorded, as far
-            as the archive holds them.
-        labels: decode the labels that the archive holds, too.
-        frame: in which the points are given (:mod:`salpcc.stages.lattice.frame`).
-
-    Raises:
-        ArchiveError: a payload is damaged, or the movable layer asked for is gone; the message names the first scan that
-            did not come back.
-        UsageError: a scan is in no such frame.
-    """
-    layered = layers != "static" and reader.movable == "layered"
-    payloads = reader.payloads(gop)
-    if layered:
-        movable = reader.movable_payloads(gop)
-        pairs = zip_longest(payloads, movable[: len(payloads)])
-        payloads = [replace(payload, movable=layer) for payload, layer in pairs]
-    turn = 0 if frame == "recorded" or isinstance(reader, Salvage) else turn_ns(reader)
-    scans = decoded_scans(payloads, reader.facts.sensor, layered, layers == "movable", labels, frame, turn)
-    for payload in payloads:
-        try:
-            yield next(scans)
-        except StopIteration:
-            raise ArchiveError(f"{reader.path}: scan {payload.entry.name} is missing from its GOP") from None
-        except (ArchiveError, UsageError) as error:
-            raise type(error)(f"{reader.path}: scan {payload.entry.name}: {error}") from error
-
-
-def turn_ns(reader: ArchiveReader) -> int:
-    """Nanoseconds of a turn of the sensor: the mean of the archive, by its scans' times and frame numbers, else 0.1 s."""
-    names = [entry.name for gop in reader.gops for entry in gop]
-    first, last = reader.span
-    turns = frame_number(names[-1], len(names) - 1) - frame_number(names[0], 0) if names else 0
-    turn = (last - first) // turns if turns > 0 else 0
-    return turn if _FASTEST <= turn <= _SLOWEST else NOMINAL_PERIOD_NS
-
-
-def decoded_scans(
-    payloads: list[ScanPayload],
-    sensor: SensorModel,
-    layered: bool,
-    alone: bool = False,
-    labels: bool = False,
-    frame: Frame = "recorded",
-    turn: int = 0,
-) -> Iterator[Scan]:
-    """Decode the payloads of one GOP.
-
-    Args:
-        layered: take their movable layers, too; ``alone``: give these only.
-        labels: decode the labels, where there are some.
-        frame, turn: in which the points are given, and the nanoseconds of a turn.
-
-    Raises:
-        ArchiveError: the next payload is damaged, or lacks its movable layer.
-        UsageError: the next scan is in no such frame.
-    """
-    state = GopState(sensor)
-    sweeps = decode_any((payload.data for payload in payloads), sensor)
-    for payload, sweep in zip(payloads, sweeps, strict=False):
-        if labels and isinstance(sweep, Sweep):
-            sweep = labelled(sweep, payload.labels, sensor)
-        if layered:
-            if payload.movable is None:
-                raise ArchiveError("its movable layer is gone; --layers static gives what is left")
-            assert isinstance(sweep, Sweep)
-            moving = decode_scan(payload.movable.data, sensor, state, sweep)
-            if labels:
-                moving = labelled(moving, payload.movable.labels, sensor)
-            scan = layered_scan(sweep, moving, sensor, alone, frame, turn)
-        else:
-            scan = scan_of(sweep, sensor, frame, turn)
-        yield replace(scan, name=payload.entry.name, time=payload.time, frame_id=payload.frame_id)
-
-
-def decode_groups(
-    reader: ArchiveReader | Salvage,
-    gops: Iterable[int],
-    threads: int = 1,
-    layers: Layers = "all",
-    labels: bool = False,
-    frame: Frame = "recorded",
-) -> Iterator[Iterator[Scan]]:
-    """Decode GOPs, one iterator of scans for each; with several threads, as many GOPs at once.
-
-    Kernels run without the interpreter's lock, so threads are as good as processes, and no scan has to be copied. Then
-    a GOP is decoded before its first scan is given, and up to ``threads`` more wait in memory. What comes is the same
-    with any number; an iterator raises what :func:`decode_scans` does, after the same scans.
-    """
-    if threads <= 1:
-        yield from (decode_scans(reader, gop, layers, labels, frame) for gop in gops)
-        return
-    ahead: deque[Future[tuple[list[Scan], Exception | None]]] = deque()
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            for gop in gops:
-                ahead.append(pool.submit(_decoded, reader, gop, layers, labels, frame))
-                if len(ahead) > threads:
-                    yield _given(*ahead.popleft().result())
-            while ahead:
-                yield _given(*ahead.popleft().result())
-        finally:
-            for future in ahead:
-                future.cancel()
-
-
-def _decoded(
-    reader: ArchiveReader | Salvage, gop: int, layers: Layers, labels: bool, frame: Frame
-) -> tuple[list[Scan], Exception | None]:
-    scans: list[Scan] = []
-    try:
-        scans.extend(decode_scans(reader, gop, layers, labels, frame))  # keeps those before an error
-    except Exception as error:  # noqa: BLE001 (whoever asks for the scan gets it)
-        return scans, error
-    return scans, None
-
-
-def _given(scans: list[Scan], error: Exception | None) -> Iterator[Scan]:
-    yield from scans
-    if error is not None:
-        raise error
 
 
 def _detached(scan: Scan) -> Scan:
@@ -219,10 +59,6 @@ class Archive(Sequence[Scan]):
     decodes each scan once. Only the GOP in hand is kept in memory. An archive can be pickled and
     forked: a copy starts with nothing decoded and shares no open file. Arrays of its scans are the caller's own.
     """
-
-    _gop: int  # the GOP in hand, -1 for none
-    _decoded: list[Scan]  # its scans so far
-    _decoder: Iterator[Scan]  # gives the rest
 
     def __init__(
         self, path: str | Path, threads: int = 1, layers: Layers = "all", frame: Frame = "recorded"
@@ -250,7 +86,7 @@ class Archive(Sequence[Scan]):
         check_layers(self._reader, layers)
         self._threads = threads
         self._places = [(g, i) for g, gop in enumerate(self._reader.gops) for i in range(len(gop))]
-        self._forget()
+        self._in_hand = DecodedGroups(1, layers, labels=True, frame=frame)
 
     @classmethod
     def open(
@@ -267,7 +103,7 @@ class Archive(Sequence[Scan]):
 
     def close(self) -> None:
         """Let go of the decoded scans; no file stays open, and the archive can still be used."""
-        self._forget()
+        self._in_hand.forget()
 
     def __repr__(self) -> str:
         scans = f"{self.sequence!r}, {len(self)} scan{'' if len(self) == 1 else 's'}"
@@ -388,36 +224,9 @@ class Archive(Sequence[Scan]):
                 raise KeyError(f"scan {index} is not in {self._reader.path}, which holds {held}") from None
         if not -len(self) <= index < len(self):
             raise IndexError(f"scan {index} of {len(self)}")
-        gop, place = self._places[index]
-        if gop != self._gop:
-            decoder = decode_scans(self._reader, gop, self._layers, True, self._frame)
-            self._gop, self._decoded, self._decoder = gop, [], decoder
-        try:
-            while len(self._decoded) <= place:
-                self._decoded.append(next(self._decoder))
-        except BaseException:
-            self._forget()  # a broken decoder must not be asked again
-            raise
-        return _detached(self._decoded[place])
+        return _detached(self._in_hand.scan(self._reader, *self._places[index]))
 
     def __iter__(self) -> Iterator[Scan]:
         gops = range(len(self._reader.gops))
         for scans in decode_groups(self._reader, gops, self._threads, self._layers, True, self._frame):
             yield from map(_detached, scans)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {
-            "reader": self._reader,
-            "threads": self._threads,
-            "layers": self._layers,
-            "frame": self._frame,
-            "places": self._places,
-        }
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self._reader, self._threads, self._places = state["reader"], state["threads"], state["places"]
-        self._layers, self._frame = state["layers"], state["frame"]
-        self._forget()
-
-    def _forget(self) -> None:
-        self._gop, self._decoded, self._decoder = -1, [], iter(())

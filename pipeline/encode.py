@@ -10,8 +10,8 @@ from typing import Any
 import pyarrow as pa
 from pydantic import ValidationError
 
-from salpcc.pipeline.archive import decoded_scans
 from salpcc.pipeline.checked import check_name, checked
+from salpcc.pipeline.decode import decoded_scans
 from salpcc.pipeline.verify import Verdict, compare
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, KindError, UsageError

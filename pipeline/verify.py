@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.archive import decode_groups
+from salpcc.pipeline.decode import decode_groups
 from salpcc.pipeline.edit.redact import check_redacted
 from salpcc.pipeline.plan.logs import compare_log
 from salpcc.pipeline.plan.plan import missing_root

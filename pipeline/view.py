@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.archive import Archive, Layers
+from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.decode import Layers
 from salpcc.pipeline.held_poses import held_poses
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import read_at

@@ -23,6 +23,7 @@ ROOMS = (
     "pipeline.schedule",
     "pipeline.plan",
     "pipeline.decode",
+    "pipeline.decoded_groups",
     "pipeline.archive",
     "pipeline.held_poses",
     "pipeline.sensors",

@@ -22,7 +22,8 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location
 
 if TYPE_CHECKING:
-    from salpcc.pipeline.archive import Archive, Layers
+    from salpcc.pipeline.archive import Archive
+    from salpcc.pipeline.decode import Layers
     from salpcc.pipeline.export import Export
     from salpcc.schemas.scan import Scan
     from salpcc.stages.lattice.frame import Frame

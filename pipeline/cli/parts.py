@@ -18,7 +18,7 @@ from salpcc.schemas.files import location
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from salpcc.pipeline.archive import Layers
+    from salpcc.pipeline.decode import Layers
 
 New = Annotated[
     Path,

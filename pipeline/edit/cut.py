@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from salpcc.pipeline.archive import decoded_scans
+from salpcc.pipeline.decode import decoded_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.files import is_url
 from salpcc.schemas.log import LogMessage

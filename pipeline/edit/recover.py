@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from salpcc.pipeline.archive import decode_scans, decoded_scans
+from salpcc.pipeline.decode import decode_scans, decoded_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import ScanPayload

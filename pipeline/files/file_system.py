@@ -16,7 +16,7 @@ from typing import Any
 
 from fsspec import AbstractFileSystem
 
-from salpcc.pipeline.archive import Layers
+from salpcc.pipeline.decode import Layers
 from salpcc.pipeline.files.tree import ArchiveTree
 from salpcc.schemas.files import location
 

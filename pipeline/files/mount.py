@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from salpcc.pipeline.archive import Layers
+from salpcc.pipeline.decode import Layers
 from salpcc.pipeline.files.file_system import ArchiveFileSystem
 from salpcc.schemas.errors import ArchiveError, UsageError
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from salpcc.pipeline.archive import LAYERS, Layers, check_layers
-from salpcc.pipeline.files.decoded_groups import DecodedGroups
+from salpcc.pipeline.decode import LAYERS, Layers, check_layers
+from salpcc.pipeline.decoded_groups import DecodedGroups
 from salpcc.pipeline.files.kitti_files import label_bytes, scan_bytes, times_bytes
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.files import is_url

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.pipeline.archive import decode_scans
+from salpcc.pipeline.decode import decode_scans
 from salpcc.pipeline.encode import payloads_of
 from salpcc.pipeline.graph.tasks import GopResult, lost
 from salpcc.pipeline.plan.digests import digest_scan

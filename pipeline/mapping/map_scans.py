@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from salpcc.pipeline.archive import Layers, decode_scans
+from salpcc.pipeline.decode import Layers, decode_scans
 from salpcc.pipeline.mapping.map_plan import Group
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.scan import Scan

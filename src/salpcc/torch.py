@@ -19,8 +19,8 @@ import numpy as np
 from torch import Tensor, from_numpy
 from torch.utils.data import Dataset, IterableDataset, Sampler, get_worker_info
 
-from salpcc.pipeline.archive import Layers, check_layers
-from salpcc.pipeline.files.decoded_groups import DecodedGroups
+from salpcc.pipeline.decode import Layers, check_layers
+from salpcc.pipeline.decoded_groups import DecodedGroups
 from salpcc.schemas.scan import Scan
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 

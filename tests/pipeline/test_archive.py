@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import salpcc.pipeline.archive as module
+import salpcc.pipeline.decode as module
 from salpcc.pipeline import Archive, Scan, encode_scans
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.ingest.sources import SOURCES

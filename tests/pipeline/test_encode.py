@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from salpcc.pipeline import Archive, Scan, archive, encode_scans
+from salpcc.pipeline import Archive, Scan, decode, encode_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
 
 FAST: dict[str, Any] = {"effort": "fast"}
@@ -99,14 +99,14 @@ def test_other_types_that_lose_nothing_are_taken(tmp_path: Path, points: type) -
 
 
 def test_what_does_not_come_back_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = archive.scan_of
+    real = decode.scan_of
 
     def spoiled(*arguments: Any) -> Scan:
         scan = real(*arguments)
         scan.intensity[3] += 1
         return scan
 
-    monkeypatch.setattr(archive, "scan_of", spoiled)
+    monkeypatch.setattr(decode, "scan_of", spoiled)
     with pytest.raises(ArchiveError, match=r"not written.*scan 0: intensity differs"):
         encode_scans([scan_of()], tmp_path / "a.mcap", **FAST)
     assert not list(tmp_path.iterdir())

@@ -10,8 +10,8 @@ from rosbags.highlevel import AnyReader
 from typer.testing import CliRunner
 
 from salpcc.pipeline import Archive, encode_scans
-from salpcc.pipeline.archive import turn_ns
 from salpcc.pipeline.cli.app import app
+from salpcc.pipeline.decode import turn_ns
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sources import SOURCES

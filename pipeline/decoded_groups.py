@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from threading import Lock
 from typing import Any
 
-from salpcc.pipeline.archive import Layers, decode_scans
+from salpcc.pipeline.decode import Layers, decode_scans
 from salpcc.schemas.scan import Scan
+from salpcc.stages.lattice.frame import Frame
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
@@ -19,9 +20,11 @@ class DecodedGroups:
     pickled.
     """
 
-    def __init__(self, most: int, layers: Layers = "all", labels: bool = False) -> None:
-        """Keep ``most`` groups, of these layers; ``labels``: with the labels of their points, where archives hold them."""
-        self.most, self.layers, self.labels = most, layers, labels
+    def __init__(
+        self, most: int, layers: Layers = "all", labels: bool = False, frame: Frame = "recorded"
+    ) -> None:
+        """Keep ``most`` groups, of these layers in this frame; ``labels``: with those of their points, where archives hold them."""
+        self.most, self.layers, self.labels, self.frame = most, layers, labels, frame
         self.decoded = 0  # groups that were begun, to see whether any was decoded twice
         self._groups: OrderedDict[tuple[str, int], _Group] = OrderedDict()
         self._lock = Lock()
@@ -31,12 +34,14 @@ class DecodedGroups:
 
         Raises:
             ArchiveError: its group is damaged up to it.
+            UsageError: a scan up to it is in no such frame.
         """
         key = str(reader.path), gop
         with self._lock:
             group = self._groups.get(key)
             if group is None:
-                group = self._groups[key] = _Group(decode_scans(reader, gop, self.layers, self.labels))
+                decoder = decode_scans(reader, gop, self.layers, self.labels, self.frame)
+                group = self._groups[key] = _Group(decoder)
                 self.decoded += 1
             self._groups.move_to_end(key)
             while len(self._groups) > self.most:
@@ -54,7 +59,7 @@ class DecodedGroups:
             self._groups.clear()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"most": self.most, "layers": self.layers, "labels": self.labels}
+        return {"most": self.most, "layers": self.layers, "labels": self.labels, "frame": self.frame}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(**state)  # type: ignore[misc]
