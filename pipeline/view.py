@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.decode import Layers
 from salpcc.pipeline.held_poses import held_poses
+from salpcc.pipeline.tell import Tell, in_silence
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import read_at
 from salpcc.schemas.labels import CLASSES, classes_of_labels
@@ -33,6 +36,7 @@ Colours = NDArray[np.uint8]
 _NONE: Mapping[str, F64] = MappingProxyType({})
 
 _MOST_SECONDS = 10**8  # of a clock that counts from the start of a log; larger ones count from 1970
+_HERE = "127.0.0.1"
 _HEAD = 256  # bytes in which an archive has the type of its first channel
 _MOST_TURNS = 5  # between scans, over which a motion is carried on
 _PATH = (230, 60, 60)
@@ -200,17 +204,33 @@ def view(
     return drive.scans
 
 
-def view_in_browser(path: Path, layers: Layers = "all", frames: tuple[int, int] | None = None) -> None:
+def view_in_browser(
+    path: Path, layers: Layers = "all", frames: tuple[int, int] | None = None, tell: Tell = in_silence
+) -> None:
     """Show scans in a browser until the process is interrupted; only this machine can reach them.
+
+    Args:
+        tell: is told how many scans there are, and the address.
 
     Raises:
         UsageError, ArchiveError, SourceError: as in :func:`scans_of`.
     """
     with TemporaryDirectory() as folder:
         file = Path(folder) / f"{path.stem}.rrd"
-        view(path, layers, frames, file)
-        serve = ["-m", "rerun", str(file), "--web-viewer", "--bind", "127.0.0.1"]
-        subprocess.run([sys.executable, *serve], check=True)
+        scans = view(path, layers, frames, file)
+        data, page = _free_ports()
+        tell(f"{scans} scans at http://{_HERE}:{page}?url=rerun%2Bhttp://{_HERE}:{data}/proxy until Ctrl-C")
+        ports = ["--port", str(data), "--web-viewer-port", str(page)]
+        serve = [sys.executable, "-m", "rerun", str(file), "--web-viewer", "--bind", _HERE, *ports]
+        subprocess.run(serve, check=True, env={"RUST_LOG": "warn", **os.environ})
+
+
+def _free_ports() -> list[int]:
+    """Two ports that nobody uses: several viewers may be open."""
+    with socket.socket() as first, socket.socket() as second:
+        for each in (first, second):
+            each.bind((_HERE, 0))
+        return [each.getsockname()[1] for each in (first, second)]
 
 
 def _log(rr: Any, scan: Scan, drive: Drive, palette: Palette) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from salpcc.stages.mapping.open3d_library import load_open3d
 settings.register_profile("any machine", deadline=None)  # no test may depend on how fast this one is
 settings.load_profile("any machine")
 
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 REAL_DATA = Path(os.environ.get("SALPCC_DATA", Path(__file__).parents[2] / "shared" / "data"))
 LABELS = np.array([10, 40, 50, 70, 252], np.uint32)  # car, road, building, vegetation, moving car
 
@@ -41,6 +44,27 @@ def open3d() -> None:
         load_open3d()
     except UsageError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def browser() -> Iterator[Any]:
+    """A page of Playwright's, 1000 x 700, in a headless Chromium; the test is skipped where there is none, and fails by errors of scripts.
+
+    SALPCC_CHROMIUM names one that is not on the PATH.
+    """
+    with pytest.importorskip("playwright.sync_api").sync_playwright() as playwright:
+        named = [os.environ.get("SALPCC_CHROMIUM"), *map(shutil.which, BROWSERS)]
+        program = next(filter(None, named), playwright.chromium.executable_path)
+        if not Path(program).exists():
+            pytest.skip("no Chromium on PATH, none named by SALPCC_CHROMIUM")
+        options = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a graphics card
+        chromium = playwright.chromium.launch(executable_path=program, args=options)
+        page = chromium.new_page(viewport={"width": 1000, "height": 700})
+        errors: list[Any] = []
+        page.on("pageerror", lambda error: errors.append(error))
+        yield page
+        chromium.close()
+    assert not errors
 
 
 def toy_points(sensor: SensorModel, seed: int, firings: int = 160) -> np.ndarray:

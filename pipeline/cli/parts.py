@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -203,7 +204,7 @@ def view(
 
     chosen = cast("Layers", layers), parse_frames(frames)
     if web:
-        view_in_browser(path, *chosen)
+        view_in_browser(path, *chosen, partial(STDERR.print, soft_wrap=True, markup=False, highlight=False))
         return
     scans = view_scans(path, *chosen, save)
     typer.echo(f"{scans} scan{'' if scans == 1 else 's'}" + (f": {save}" if save else ""))

@@ -1,14 +1,19 @@
 """Looking at scans: what is shown of an archive, a log and a map, in which colours, and where along the path."""
 
+import os
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -143,3 +148,30 @@ def test_view_on_the_command_line(archive: Path, tmp_path: Path) -> None:
         view(archive, save=tmp_path / "folder.rrd")
     code, said = command("view", archive, "--layers", "moving", "--save", tmp_path / "b.rrd")
     assert code == 1 and "choose from" in said
+
+
+def test_a_browser_shows_the_scans(archive: Path, tmp_path: Path, browser: Any) -> None:
+    """``view --web`` says where it shows them, and the viewer there draws points in the colours of heights."""
+    pytest.importorskip("rerun")
+    command = [sys.executable, "-m", "salpcc.pipeline.cli", "view", str(archive), "--web"]
+    opens_none = {**os.environ, "BROWSER": "true"}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=opens_none) as shown:
+        assert shown.stderr is not None
+        try:
+            said = next(line for line in shown.stderr if "http://" in line)
+            (address,) = re.findall(r"http://127\S+", said)
+            while True:
+                with suppress(OSError), urlopen(address.split("?")[0]):
+                    break
+                assert shown.poll() is None
+            browser.goto(address, wait_until="commit")
+            for _ in range(200):  # the viewer starts, then scans arrive
+                picture = imread(BytesIO(browser.screenshot(path=tmp_path / "view.png")))[60:-60, :, :3]
+                vivid = picture[np.ptp(picture, axis=2) > 0.25]
+                most = np.bincount(vivid.argmax(axis=1), minlength=3)
+                if (most > 200).all():  # blue heights, green ones and yellow ones: the viewer itself is blue
+                    break
+                browser.wait_for_timeout(250)
+            assert (most > 200).all()
+        finally:
+            shown.terminate()

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.image import imread
 
 from salpcc.schemas.errors import ShardError
 from salpcc.schemas.scan import Scan
@@ -230,3 +232,30 @@ def test_report_is_the_same_when_rebuilt(out: Path) -> None:
     first, page = strip(report.build(out)), (out / "report" / "index.html").read_bytes()
     assert strip(report.build(out)) == first
     assert (out / "report" / "index.html").read_bytes() == page
+
+
+def test_a_browser_shows_the_page(out: Path, browser: Any) -> None:
+    """The scan is drawn, class by class in its colour, and turns; on a phone nothing but tables and plots is wider than it."""
+    report.build(out)
+    browser.goto((out / "report" / "index.html").as_uri())
+    canvas = browser.locator("#scene[data-state=drawn] canvas")
+    legend = browser.locator("#scene .legend")
+    canvas.wait_for()
+    assert legend.inner_text().split() == ["road", "building"]  # the car was dropped
+
+    def picture() -> Any:
+        return imread(BytesIO(canvas.screenshot()))[..., :3]
+
+    before = picture()
+    drawn = np.abs(before - before[0, 0]).max(axis=2) > 0.2
+    assert 0.002 < drawn.mean() < 0.9
+    assert len(np.unique(np.rint(before[drawn] * 8), axis=0)) >= 2
+    canvas.drag_to(canvas, source_position={"x": 300, "y": 200}, target_position={"x": 500, "y": 260})
+    browser.wait_for_timeout(100)  # it is drawn again with the next frame
+    assert np.abs(picture() - before).max() > 0.2
+    browser.locator("#scene select").select_option("height")
+    assert re.fullmatch(r"-[0-9.]+ m\s*[0-9.]+ m", legend.inner_text().strip())
+    assert browser.locator(".claims dt").count() >= 4 and browser.locator("table").count() >= 4
+    browser.set_viewport_size({"width": 390, "height": 800})
+    assert browser.evaluate("document.scrollingElement.scrollWidth") == 390
+    browser.screenshot(path=out / "phone.png", full_page=True)

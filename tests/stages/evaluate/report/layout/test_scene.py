@@ -1,25 +1,17 @@
-"""The scan to turn: what is packed is what was decoded, and a real browser draws it, where there is one."""
+"""The scan to turn: what is packed is what was decoded. A browser draws it in test_report.py."""
 
 import base64
 import json
-import os
-import shutil
-import subprocess
 import zlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
-from jinja2 import Template
-from matplotlib.image import imread
 
 from salpcc.schemas.labels import CLASSES
 from salpcc.stages.evaluate.report.layout.scene import Scene, scene_of
 from salpcc.stages.evaluate.report.schema import METRICS
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 def sampled(n: int, **more: Any) -> pa.Table:
@@ -80,33 +72,3 @@ def test_large_scans_are_thinned_and_others_left_out() -> None:
     assert scene_of(sampled(0)) is None and scene_of(METRICS.empty_table()) is None
     far = scene_of(sampled(3, sample_points=[400.0, -400, 0, -400, 400, 0, 1e9, 0, 0]))
     assert far is not None and (unpacked(far)[1] == [[320, -320, 0], [-320, 320, 0], [320, 0, 0]]).all()
-
-
-PAGE = Template("""<!doctype html><meta charset=utf-8><body style="margin:0"><figure id=scene style="margin:0">
-<select></select><span class=legend></span><canvas style="width:600px;height:400px;display:block"></canvas></figure>
-<script type="application/json" id=scene-data>{{ scene.data }}</script><script>{{ scene.program }}</script>""")
-
-
-def test_a_browser_draws_it(tmp_path: Path) -> None:
-    browser = os.environ.get("SALPCC_CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        pytest.skip("no Chromium on PATH, none named by SALPCC_CHROMIUM")
-    (tmp_path / "page.html").write_text(PAGE.render(scene=scene_of(sampled(20_000))))
-    address = (tmp_path / "page.html").as_uri()
-    options = [
-        "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-        f"--user-data-dir={tmp_path / 'user'}", "--window-size=640,480", "--virtual-time-budget=10000",
-    ]  # fmt: skip
-    run = [browser, *options, f"--screenshot={tmp_path / 'page.png'}", address]
-    subprocess.run(run, check=True, capture_output=True, timeout=120, cwd=tmp_path)
-    dom = subprocess.run(
-        [browser, *options, "--dump-dom", address], check=True, capture_output=True, timeout=120
-    )
-    assert b'data-state="drawn"' in dom.stdout
-    assert all(
-        name in dom.stdout for name in (b"car ", b"road ", b"vegetation ", b">height<", b">intensity<")
-    )
-    picture = imread(tmp_path / "page.png")[60:380, :600, :3]
-    drawn = np.abs(picture - picture[0, 0]).max(axis=2) > 0.2
-    assert 0.01 < drawn.mean() < 0.9
-    assert len(np.unique(np.rint(picture[drawn] * 8), axis=0)) >= 3  # classes, each in its colour
