@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.decode import Layers
+from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.pipeline.held_poses import held_poses
-from salpcc.pipeline.tell import Tell, in_silence
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import read_at
 from salpcc.schemas.labels import CLASSES, classes_of_labels
