@@ -7,14 +7,16 @@ import shlex
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from pydantic import ValidationError
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from typer.core import TyperGroup
 
+from salpcc.pipeline.cli import map_edits as cli_edit
 from salpcc.pipeline.cli.boxes import METAVAR as BOX
 from salpcc.pipeline.cli.boxes import parse_box
 from salpcc.pipeline.cli.run_options import Scheduler, Workers
@@ -28,12 +30,31 @@ Archives = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout.")]
 
 
+class _MapGroup(TyperGroup):
+    """``map ARCHIVE…`` makes a map; ``map edit`` and the like are of maps that are there."""
+
+    MAKE = "make"
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments of the command that is meant."""
+        return super().parse_args(ctx, args if args and args[0] in self.commands else [self.MAKE, *args])
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that is meant; that which makes maps needs no name."""
+        name, command, rest = super().resolve_command(ctx, args)
+        return "" if name == self.MAKE else name, command, rest
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands to the application."""
-    app.command(
-        name="map",
-        epilog="Example:  `salpcc-pipeline map out/archives/04.mcap --poses DIR/sequences/04/poses.txt --out map`",
+    maps = typer.Typer(cls=_MapGroup, help="Build a clean map from decoded scans, edit maps, compare them.")
+    maps.command(
+        name=_MapGroup.MAKE,
+        epilog="Example:  `salpcc-pipeline map out/archives/04.mcap --poses DIR/sequences/04/poses.txt --out map`  ·  "
+        "of maps that are there:  `salpcc-pipeline map edit --help`",
     )(map_)
+    cli_edit.register(maps)
+    app.add_typer(maps, name="map")
     app.command(
         epilog="Example:  `salpcc-pipeline localise exact/04.mcap 1cm/04.mcap --against DIR --rivals draco --out loc`"
     )(localise)

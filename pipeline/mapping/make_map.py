@@ -3,33 +3,45 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from contextlib import ExitStack, nullcontext
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
+import pyarrow as pa
+
 from salpcc.pipeline.export.las import coordinate_system
+from salpcc.pipeline.mapping.map_explain import drop_older, keep
+from salpcc.pipeline.mapping.map_frame import frame_of
 from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
 from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_scans import unclassified
 from salpcc.pipeline.mapping.map_steps import build_all, gather_all, score_all, track_all
 from salpcc.pipeline.mapping.map_submaps import Submap
+from salpcc.pipeline.mapping.map_summary import (
+    explained_to_json,
+    figures_of_map,
+    frame_to_json,
+    read_summary,
+    write_summary,
+)
 from salpcc.pipeline.mapping.map_tiles import TileResult
 from salpcc.pipeline.mapping.map_track import Track
-from salpcc.pipeline.mapping.map_write import write_whole
+from salpcc.pipeline.mapping.map_write import Whole, write_track, write_whole
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.lock import locked
 from salpcc.pipeline.schedule.progress import Report, Silent, bar
 from salpcc.pipeline.schedule.store import ShardStore
-from salpcc.schemas.files import atomic
+from salpcc.schemas.errors import UsageError
 from salpcc.schemas.version import TOOL
 from salpcc.schemas.work import digest_of
+from salpcc.stages.evaluate.report.record import record
+from salpcc.stages.evaluate.report.schema import MAP_QUALITY
 from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
-VERSION = 4  # 2: LAZ of one unit of intensity; 3: de-skewed, poses refined; 4: carving weighs what was met
+VERSION = 5  # 2: LAZ of one unit of intensity; 3: de-skewed, poses refined; 4: carving weighs what was met; 5: edits
 NO_CLASSES = "no classes in it, so nothing tells what is movable; encode it without --keep-movable, or with --labels given"
 ASK = "ask the network with --labels network"
 
@@ -72,17 +84,37 @@ def make_map(request: MapRequest) -> dict[str, Any]:
             rows = score_all(client, plan, refs, found, tiles, request, report, cpu_s)
             if len(untold) == len(request.archives):  # they dropped nothing: that was not measured
                 rows = [row for row in rows if row["cleaner"] != CLASSES_ONLY]
-        write_whole(request, plan, store, tiles, found.poses, rows)
+        frame = frame_of(plan.origin, request.archives[0], request.crs)
+        size = request.config.tile
+        if request.explain:
+            tiles = keep(store, plan.sequence, tiles, size)
+        write_track(request.out, plan, found.poses)
+        whole = Whole(plan.sequence, plan.n_scans, tuple(request.formats), size, frame, request.explain)
+        write_whole(request.out, whole, store, tiles, found.poses)
+        if rows:
+            record(request.out, map_quality=pa.Table.from_pylist(rows, schema=MAP_QUALITY))
         summary = _summary(request, plan, inputs, started, found, track_ms, submaps, tiles)
+        summary |= frame_to_json(frame) | figures_of_map(tiles)
+        summary |= {"explained": explained_to_json(tiles) if request.explain else [], "edits": []}
         summary |= {"quality": rows, "archives_without_classes": untold}
-        with atomic(request.out / "map.json") as stream:
-            stream.write(json.dumps(summary, indent=1).encode() + b"\n")
+        for edit in _edits(request):
+            report.say(f"the map that was here had been edited, this one is not: {edit['command']}")
+        write_summary(request.out, summary)
+        drop_older(store, plan.sequence, tiles if request.explain else [])
         if not request.keep_shards:
             for sequence in {plan.sequence, *(group.sequence for group in plan.groups)}:
                 store.drop_sequence(
                     sequence, ("classes", "thinned", "track", "submap", "views", "tile", "truth")
                 )
     return summary
+
+
+def _edits(request: MapRequest) -> list[dict[str, Any]]:
+    """What was edited of the map that is there."""
+    try:
+        return list(read_summary(request.out).get("edits", []))
+    except UsageError:
+        return []
 
 
 def _untold(request: MapRequest) -> list[str]:
@@ -114,15 +146,10 @@ def _summary(
         "sequence": plan.sequence,
         "scans": plan.n_scans,
         "poses": plan.poses,
-        "origin": list(plan.origin),
-        "crs": request.crs,
         "pose_fit": asdict(found.check),
         "pose_check": [asdict(a) for a in found.agreements],
         "config": request.config.model_dump(mode="json"),
         "points_in": sum(s.points for s in submaps),
-        "points_in_map": sum(t.points for t in tiles),
-        "voxels": {k: sum(getattr(t, k) for t in tiles) for k in ("kept", "carved", "dropped", "filled")},
-        "tiles": [t.tile.name for t in tiles if t.kept],
         "formats": request.formats,
         "cpu_ms_per_scan": {
             "track": track_ms / plan.n_scans,
@@ -157,8 +184,8 @@ def _inputs(request: MapRequest, plan: MapPlan) -> str:
 def _finished(request: MapRequest, inputs: str) -> dict[str, Any] | None:
     """Return the summary of a map that is complete and made of the same, or None."""
     try:
-        summary: dict[str, Any] = json.loads((request.out / "map.json").read_text())
-    except (OSError, ValueError):
+        summary = read_summary(request.out)
+    except UsageError:
         return None
     files = [
         request.out / "tiles" / f"{tile}.{form}"
@@ -167,4 +194,5 @@ def _finished(request: MapRequest, inputs: str) -> dict[str, Any] | None:
         if form != "mcap"
     ]
     files += [request.out / "map.mcap"] if "mcap" in request.formats else []
+    files += [request.out / "shards" / tile["ref"]["path"] for tile in summary.get("explained", [])]
     return summary if summary.get("inputs") == inputs and all(path.is_file() for path in files) else None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -41,6 +42,13 @@ def to_laz(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
 
     Our class is user data; ``count`` says how many points were fused.
     """
+    with_columns(voxels, corner, frame, path, {})
+
+
+def with_columns(
+    voxels: Voxels, corner: F64, frame: Frame, path: Path, columns: Mapping[str, NDArray[Any]], *texts: str
+) -> None:
+    """Write LAZ as :func:`to_laz` does, with more extra dimensions ``(M,)`` by name, and texts that say what they are."""
     origin, factor = np.array(frame.origin), frame.factor
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, LAZ_SCALE), np.floor(corner + origin)
@@ -48,7 +56,9 @@ def to_laz(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
         header.add_crs(coordinate_system(frame.crs))
     header.add_extra_dim(laspy.ExtraBytesParams("count", np.uint32, "points fused"))
     header.add_extra_dim(laspy.ExtraBytesParams("mean_intensity", np.float32))
-    header.vlrs.append(text_record(intensity_text(factor, np.dtype(np.float32), "mean_intensity")))
+    for name, values in columns.items():
+        header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype))
+    header.vlrs.append(text_record(intensity_text(factor, np.dtype(np.float32), "mean_intensity"), *texts))
     las = laspy.LasData(header)
     las.xyz = voxels.xyz + origin
     las.intensity, _ = las_intensity(voxels.intensity, factor)
@@ -57,6 +67,8 @@ def to_laz(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
     las.user_data = voxels.classes
     las.synthetic = (voxels.classes == SYNTHETIC).astype(np.uint8)
     las.count = voxels.count
+    for name, values in columns.items():
+        las[name] = values
     with atomic(path) as stream:
         las.write(stream, do_compress=True)
 

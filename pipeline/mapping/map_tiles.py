@@ -94,15 +94,9 @@ def build_tile(
         built = build(*_read_parts(store, parts, tile, config), config)
         if within is not None:
             built = built[within.holds(built.voxels.xyz)]
-        voxels, against = built.voxels, built.against
         facts = {
             "corner": corner.tolist(),
-            "kept": int(np.count_nonzero(against == 0)),
-            "carved": int(np.count_nonzero(against & CARVED)),
-            "dropped": int(np.count_nonzero(against & (DROPPED | OBJECT))),
-            "carved_or_dropped": int(np.count_nonzero(against)),
-            "filled": int(np.count_nonzero(voxels.count == 0)),
-            "points": int(voxels.count[against == 0].sum()),
+            **figures_of(built),
             "cpu_ms": 1e3 * (time.process_time() - started),
             "peak_mb": peak_mb(),
         }
@@ -113,18 +107,44 @@ def build_tile(
     if facts["kept"] + facts["carved_or_dropped"] == 0:
         return TileResult(tile, None, **figures)
     paths = [(form, out / "tiles" / f"{tile.name}.{form}") for form in formats if form in WRITERS]
-    stamp = out / "tiles" / f".{tile.name}"
+    stamp = stamp_of(out, tile)
     written = digest_of(digest, asdict(frame))
     fresh = stamp.is_file() and stamp.read_text() == written
-    missing = [(form, path) for form, path in paths if not (fresh and path.is_file())]
+    missing = [form for form, path in paths if not (fresh and path.is_file())]
     if missing and facts["kept"]:
         started = time.process_time()
-        built = read_tile(store, ref)
-        for form, path in missing:
-            WRITERS[form](built.voxels[built.against == 0], tile.corner(config.tile), frame, path)
+        write_products(read_tile(store, ref), tile, config.tile, missing, frame, out)
         stamp.write_text(written)
         figures["cpu_ms"] += 1e3 * (time.process_time() - started)
     return TileResult(tile, ref, **figures)
+
+
+def stamp_of(out: Path, tile: Tile) -> Path:
+    """Return the file that says what the files of a tile were made of."""
+    return out / "tiles" / f".{tile.name}"
+
+
+def figures_of(built: Built) -> dict[str, int]:
+    """Count the entries of a tile by what became of them, and the points of those that are in the map."""
+    against = built.against
+    return {
+        "kept": int(np.count_nonzero(against == 0)),
+        "carved": int(np.count_nonzero(against & CARVED)),
+        "dropped": int(np.count_nonzero(against & (DROPPED | OBJECT))),
+        "carved_or_dropped": int(np.count_nonzero(against)),
+        "filled": int(np.count_nonzero(built.voxels.count == 0)),
+        "points": int(built.voxels.count[against == 0].sum()),
+    }
+
+
+def write_products(
+    built: Built, tile: Tile, size: float, formats: Sequence[str], frame: Frame, out: Path
+) -> None:
+    """Write what is in the map of a tile of ``size`` metres, in those of the formats that have a file a tile."""
+    for form in formats:
+        if form in WRITERS:
+            path = out / "tiles" / f"{tile.name}.{form}"
+            WRITERS[form](built.voxels[built.against == 0], tile.corner(size), frame, path)
 
 
 def read_tile(store: ShardStore, ref: ShardRef) -> Built:

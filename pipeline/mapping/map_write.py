@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -11,67 +12,82 @@ from numpy.typing import NDArray
 
 from salpcc.pipeline.mapping.map_explain import clear_explained, explain
 from salpcc.pipeline.mapping.map_export import to_mcap
-from salpcc.pipeline.mapping.map_frame import frame_of
+from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.mapping.map_plan import F64, MapPlan
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.files import atomic
 from salpcc.stages.evaluate.report import record
-from salpcc.stages.evaluate.report.schema import MAP_QUALITY, PICTURES
+from salpcc.stages.evaluate.report.schema import PICTURES
 from salpcc.stages.mapping.picture import busiest, pictures
 from salpcc.stages.mapping.voxel import Voxels
 
 _SAMPLE = 4_000_000  # entries at most that are drawn
 
 
-def write_whole(
-    request: MapRequest,
-    plan: MapPlan,
-    store: ShardStore,
-    tiles: list[TileResult],
-    scans: F64,
-    rows: list[dict[str, Any]],
-) -> None:
-    """Write what is one for the whole map: the MCAP, the scans' poses, pictures and records for the report."""
+@dataclass(frozen=True)
+class Whole:
+    """What all files of a map have in common.
+
+    Attributes:
+        size: of its tiles, metres.
+        explained: whether what was removed is written, too.
+    """
+
+    sequence: str
+    n_scans: int
+    formats: tuple[str, ...]
+    size: float
+    frame: Frame
+    explained: bool
+
+
+def write_track(out: Path, plan: MapPlan, scans: F64) -> None:
+    """Write where the scans stand, ``(n, 4, 4)`` in the map's frame, as poses.txt in the frame of the poses, and their names; inverse: :func:`read_track`."""
     placed = scans.copy()
     placed[:, :3, 3] += plan.origin
     lines = [" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in placed]
     names = [name for group in plan.groups for name in group.names]
-    with atomic(request.out / "poses.txt") as stream:
-        stream.write(("\n".join(lines) + "\n").encode())
-    with atomic(request.out / "scans.txt") as stream:
-        stream.write(("\n".join(names) + "\n").encode())
-    if "mcap" in request.formats:
-        to_mcap(
-            _kept(store, tiles),
-            frame_of(plan.origin, request.archives[0], request.crs),
-            request.out / "map.mcap",
-        )
+    for file, rows in (("poses.txt", lines), ("scans.txt", names)):
+        with atomic(out / file) as stream:
+            stream.write(("\n".join(rows) + "\n").encode())
+
+
+def read_track(out: Path, frame: Frame) -> F64:
+    """Read where the scans of a map stand ``(n, 4, 4)`` in its frame."""
+    scans = np.tile(np.eye(4), (len(rows := np.loadtxt(out / "poses.txt", ndmin=2)), 1, 1))
+    scans[:, :3] = rows.reshape(-1, 3, 4)
+    scans[:, :3, 3] -= frame.origin
+    return scans
+
+
+def write_whole(out: Path, whole: Whole, store: ShardStore, tiles: Sequence[TileResult], scans: F64) -> None:
+    """Write what is one for the whole map: the MCAP, what was removed, pictures; ``scans`` as in :func:`write_track`."""
+    if "mcap" in whole.formats:
+        to_mcap(_kept(store, tiles), whole.frame, out / "map.mcap")
     else:
-        (request.out / "map.mcap").unlink(missing_ok=True)
-    clear_explained(request.out)
-    if request.explain:
-        explain(request, plan, store, tiles)
+        (out / "map.mcap").unlink(missing_ok=True)
+    if whole.explained:
+        explain(out, store, tiles, whole.size, whole.frame)
+    else:
+        clear_explained(out)
     voxels, against = _sample(store, tiles)
     drawn = pictures(voxels, against, busiest(scans, voxels.xyz, against))
     for name, png in drawn.items():
-        with atomic(request.out / "pictures" / f"{name}.png") as stream:
+        with atomic(out / "pictures" / f"{name}.png") as stream:
             stream.write(png)
-    tables = {"pictures": pa.Table.from_pylist(_captioned(plan, drawn), schema=PICTURES)}
-    if rows:
-        tables["map_quality"] = pa.Table.from_pylist(rows, schema=MAP_QUALITY)
-    record.record(request.out, **tables)
+    record.record(out, pictures=pa.Table.from_pylist(_captioned(whole, drawn), schema=PICTURES))
 
 
-def _kept(store: ShardStore, tiles: list[TileResult]) -> Iterator[Voxels]:
+def _kept(store: ShardStore, tiles: Sequence[TileResult]) -> Iterator[Voxels]:
     for tile in tiles:
         if tile.ref is not None and tile.kept:
             built = read_tile(store, tile.ref)
             yield built.voxels[built.against == 0]
 
 
-def _sample(store: ShardStore, tiles: list[TileResult]) -> tuple[Voxels, NDArray[np.uint8]]:
+def _sample(store: ShardStore, tiles: Sequence[TileResult]) -> tuple[Voxels, NDArray[np.uint8]]:
     """Take evenly spaced entries of all tiles, as many as can be drawn."""
     total = sum(t.kept + t.carved_or_dropped for t in tiles)
     every = max(1, -(-total // _SAMPLE))
@@ -84,7 +100,7 @@ def _sample(store: ShardStore, tiles: list[TileResult]) -> tuple[Voxels, NDArray
     return Voxels.together(parts), np.concatenate(fates)
 
 
-def _captioned(plan: MapPlan, drawn: dict[str, bytes]) -> list[dict[str, object]]:
+def _captioned(whole: Whole, drawn: dict[str, bytes]) -> list[dict[str, object]]:
     where = {"above": "from above", "perspective": "in perspective"}
     what = {
         "before": "all decoded scans laid together; red: of a movable class, orange: seen through by later or "
@@ -94,10 +110,10 @@ def _captioned(plan: MapPlan, drawn: dict[str, bytes]) -> list[dict[str, object]
     rows: list[dict[str, object]] = []
     for name, png in drawn.items():
         view, state = name.split("_")
-        title = f"Sequence {plan.sequence}, {where[view]}, {state}"
-        caption = f"{plan.n_scans} scans, {what[state]}."
+        title = f"Sequence {whole.sequence}, {where[view]}, {state}"
+        caption = f"{whole.n_scans} scans, {what[state]}."
         rows.append(
-            {"figure": "fig10", "group": plan.sequence, "title": title, "caption": caption, "png": png}
+            {"figure": "fig10", "group": whole.sequence, "title": title, "caption": caption, "png": png}
         )
     return rows
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,9 +33,18 @@ class Built:
     through: NDArray[np.uint16]
     met: NDArray[np.uint16]
 
-    def __getitem__(self, which: NDArray[np.bool_]) -> Built:
+    def __getitem__(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Built:
         """Pick entries."""
         return Built(self.voxels[which], self.against[which], self.through[which], self.met[which])
+
+    @classmethod
+    def together(cls, parts: Sequence[Built]) -> Built:
+        """Put entries of several one after the other."""
+        fates = [
+            np.concatenate([np.empty(0, kind), *(getattr(part, name) for part in parts)])
+            for name, kind in (("against", np.uint8), ("through", np.uint16), ("met", np.uint16))
+        ]
+        return cls(Voxels.together([part.voxels for part in parts]), *fates)
 
 
 def build(voxels: Voxels, views: list[View], config: MapConfig) -> Built:

@@ -93,6 +93,12 @@ def keys_of(xyz: F64, size: float) -> NDArray[np.int64]:
     return np.asarray((at[:, 0] << (_BITS_XY + _BITS_Z)) | (at[:, 1] << _BITS_Z) | at[:, 2])
 
 
+def neighbours_of() -> list[int]:
+    """Return by how much the keys of 13 of a voxel's 26 neighbours differ from its own; the others are the same, negative."""
+    steps = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
+    return [(x << (_BITS_XY + _BITS_Z)) + (y << _BITS_Z) + z for x, y, z in steps if (x, y, z) > (0, 0, 0)]
+
+
 def coarser(keys: NDArray[np.int64], factor: int) -> NDArray[np.int64]:
     """Return keys of voxels ``factor`` times as wide."""
     low = (1 << _BITS_XY) - 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -61,4 +62,15 @@ def made(request_: Callable[..., MapRequest], root: Path, tmp_path_factory: pyte
     out = tmp_path_factory.mktemp("map")
     config = CONFIG.model_copy(update={"fill": True})
     make_map(request_(out, config=config, against=root, formats=["laz", "ply", "pcd", "mcap"]))
+    return out
+
+
+@pytest.fixture(scope="session")
+def explained(
+    request_: Callable[..., MapRequest], made: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A map, in all formats, that says what was removed of it."""
+    out = tmp_path_factory.mktemp("explained")
+    shutil.copytree(made / "shards", out / "shards")
+    make_map(request_(out, formats=["laz", "ply", "pcd", "mcap"], explain=True, keep_shards=False))
     return out
