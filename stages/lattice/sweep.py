@@ -27,6 +27,8 @@ from salpcc.stages.lattice.publish import compensated_points, published_points
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.untwist import twist, untwist, within_reach
 
+Places = tuple[NDArray[np.int64], NDArray[np.int64]]  # in the file, of returns and of strays
+
 _T = TypeVar("_T", bound=np.generic)
 
 # A lattice that explains fewer points than this is not the scan's lattice, and strays cost less.
@@ -163,7 +165,7 @@ def return_places(sweep: Sweep) -> NDArray[np.int64]:
     return np.flatnonzero(free)
 
 
-def source_places(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def source_places(sweep: Sweep, sensor: SensorModel) -> Places:
     """Return the places in file order of the returns ``(M,)`` and of the strays ``(S,)``."""
     model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
     places = np.empty(len(sweep.laser), np.int64)

@@ -17,8 +17,7 @@ VERSION = 6
 def run(task: pa.Table, planes: pa.Table, config: RunConfig) -> pa.Table:
     """Turn a TASK table into a PREDICTION table.
 
-    The neighbours' predictors follow planes by themselves (1/r is linear over a plane), so the fitted
-    planes are not used in the ``sensor`` profile. Profile ``paper``: a GRID_PREDICTION table.
+    Profile ``paper``: a GRID_PREDICTION table, from the planes, too.
     """
     if config.profile == "paper":
         return grid_predictions_to_table(task.column("name").to_pylist(), predict_gop(table_to_grids(task)))

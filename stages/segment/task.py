@@ -20,6 +20,7 @@ from salpcc.stages.lattice.layers import placed, return_keys
 from salpcc.stages.lattice.order import azimuth_keys, in_order
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import (
+    Places,
     middle_counts,
     return_places,
     return_points,
@@ -37,13 +38,23 @@ _COARSE = 0.05  # metres
 _BESIDE_AXIS, _MOST = 50.0, 0.9  # millimetres that beams start from the axis; of the returns
 
 
-def keep(sweep: Sweep, sensor: SensorModel, kept: NDArray[np.bool_], stray_kept: NDArray[np.bool_]) -> Sweep:
+def keep(
+    sweep: Sweep,
+    sensor: SensorModel,
+    kept: NDArray[np.bool_],
+    stray_kept: NDArray[np.bool_],
+    places: Places | None = None,
+) -> Sweep:
     """Return the sweep with the marked returns ``(M,)`` and strays ``(S,)`` only.
 
     Places of strays count kept points; ``n_points`` goes on counting the source's.
+
+    Args:
+        places: what :func:`~salpcc.stages.lattice.sweep.source_places` says of the sweep, where the caller knows it.
     """
-    on, off = source_places(sweep, sensor)
+    on, off = places or source_places(sweep, sensor)
     stays = np.zeros(len(sweep), np.bool_)
+    kept, stray_kept = np.flatnonzero(kept), np.flatnonzero(stray_kept)
     stays[on[kept]] = True
     stays[off[stray_kept]] = True
     return replace(
@@ -70,6 +81,7 @@ def split(
     moves: NDArray[np.bool_],
     stray_moves: NDArray[np.bool_],
     bounds: tuple[float | None, float | None] = (None, None),
+    places: Places | None = None,
 ) -> tuple[Sweep, Sweep]:
     """Return the static and the movable layer of a sweep; the marked returns ``(M,)`` and strays ``(S,)`` are movable.
 
@@ -77,12 +89,14 @@ def split(
 
     Args:
         bounds: of each layer's error, metres; None is exact.
+        places: as in :func:`keep`.
     """
-    on, off = source_places(sweep, sensor)
+    on, off = places = places or source_places(sweep, sensor)
     mask = np.zeros(len(sweep), np.bool_)
     mask[on[moves]] = True
     mask[off[stray_moves]] = True
-    static, movable = keep(sweep, sensor, ~moves, ~stray_moves), keep(sweep, sensor, moves, stray_moves)
+    static = keep(sweep, sensor, ~moves, ~stray_moves, places)
+    movable = keep(sweep, sensor, moves, stray_moves, places)
     if sweep.cloud is not None:
         loose = replace(movable.cloud or sweep.cloud, loose=sweep.cloud.loose)
         movable = replace(movable, cloud=loose if mask.any() else None)

@@ -19,7 +19,7 @@ from salpcc.stages.entropy.range_coder import (
     start_decoder,
     start_encoder,
 )
-from salpcc.stages.residual_code.sensor.mask_coder import firing_context, follow, ticks_of_ring
+from salpcc.stages.residual_code.sensor.mask_coder import firing_context, follow, mark_firings, ticks_of_ring
 
 FIRING_CONTEXTS = 1 + (1 << 6)  # whether the static layer lacks firings, then which
 BEHIND_CONTEXTS = 3**6
@@ -30,14 +30,6 @@ _BEFORE, _AFTER = 3, 3  # places at the ends of a ring that are empty
 
 Starts = NDArray[np.int64]
 Ticks = NDArray[np.int32]
-
-
-@njit(cache=True)
-def _mark(firing, starts, tick, shift, ticks):  # type: ignore[no-untyped-def]
-    """Set the firings ``(R,)`` that returns are of."""
-    for k in range(len(starts) - 1):
-        for i in range(starts[k], starts[k + 1]):
-            firing[(tick[i] - shift[k]) % ticks] = 1
 
 
 @njit(cache=True)
@@ -88,13 +80,13 @@ def _walk(  # type: ignore[no-untyped-def]
         j = j2 = below = -1
         i = 0 if decoding else starts[k]
         for f in range(n):
-            t = places[k, f]
+            at, t = f + _BEFORE, places[k, f]
+            if here[at] == _STATIC:
+                continue
             j = follow(j, t, up_places)
             j2 = follow(j2, t, up2_places)
             below = follow(below, t, down_places)
-            at, a, a2, b = f + _BEFORE, j + _BEFORE, j2 + _BEFORE, below + _BEFORE
-            if here[at] == _STATIC:
-                continue
+            a, a2, b = j + _BEFORE, j2 + _BEFORE, below + _BEFORE
             left, above = here[at - 1], up[a]
             behind = ((((left * 3 + here[at - 2]) * 3 + here[at - 3]) * 3 + up[a - 1]) * 3 + above) * 3 + up[
                 a + 1
@@ -145,9 +137,9 @@ def encode_layer_mask(
         known_starts, known_tick: the static layer's; no return is in both.
     """
     known, firing = np.zeros(ticks, np.int8), np.zeros(ticks, np.int8)
-    _mark(known, known_starts, known_tick, shift, ticks)
+    mark_firings(known_starts, known_tick, shift, ticks, known)
     firing[:] = known
-    _mark(firing, starts, tick, shift, ticks)
+    mark_firings(starts, tick, shift, ticks, firing)
     coder = start_encoder()
     _code_firings(False, coder, out, out, firing_model, known, firing)
     fired = np.flatnonzero(firing)
@@ -173,7 +165,7 @@ def decode_layer_mask(
     laser = np.zeros(n, np.uint8)
     tick = np.zeros(n, np.int32)
     known, firing = np.zeros(ticks, np.int8), np.zeros(ticks, np.int8)
-    _mark(known, known_starts, known_tick, shift, ticks)
+    mark_firings(known_starts, known_tick, shift, ticks, known)
     coder = start_decoder(data)
     out = np.zeros(0, np.uint8)
     _code_firings(True, coder, data, out, firing_model, known, firing)

@@ -33,16 +33,32 @@ def firing_context(firing: NDArray[np.int8], t: int) -> int:
 
 
 @njit(cache=True)
+def mark_firings(
+    starts: NDArray[np.int64],
+    tick: NDArray[np.int32],
+    shift: NDArray[np.int64],
+    ticks: int,
+    firing: NDArray[np.int8],
+) -> None:
+    """Set the firings ``(ticks,)`` that returns are of."""
+    for k in range(len(starts) - 1):
+        turn = shift[k] % ticks
+        for i in range(starts[k], starts[k + 1]):
+            t = tick[i] - turn
+            if t < 0:
+                t += ticks
+            firing[t] = 1
+
+
+@njit(cache=True)
 def ticks_of_ring(fired: NDArray[np.int64], shift: int, ticks: int, out: NDArray[np.int64]) -> None:
     """Ticks at which a laser saw the firings ``fired`` (ascending), ascending themselves."""
-    n = len(fired)
-    first = 0  # the first firing that the shift does not push past the end of the turn
-    for i in range(n):
-        if (fired[i] + shift) % ticks < (fired[first] + shift) % ticks:
-            first = i
-    for i in range(n):
-        j = first + i
-        out[i] = (fired[j if j < n else j - n] + shift) % ticks
+    turn = shift % ticks
+    stay = np.searchsorted(fired, ticks - turn)  # the shift pushes the others past the end of the turn
+    for i in range(stay, len(fired)):
+        out[i - stay] = fired[i] + turn - ticks
+    for i in range(stay):
+        out[len(fired) - stay + i] = fired[i] + turn
 
 
 @njit(cache=True)
@@ -116,9 +132,7 @@ def encode_mask(
 ) -> int:
     """Encode the ticks ``(M,)`` of returns in firing order; bytes written to ``out``, -1 if full."""
     firing = np.zeros(ticks, np.int8)
-    for k in range(len(starts) - 1):
-        for i in range(starts[k], starts[k + 1]):
-            firing[(tick[i] - shift[k]) % ticks] = 1
+    mark_firings(starts, tick, shift, ticks, firing)
     coder = start_encoder()
     for t in range(ticks):
         encode_bit(coder, out, firing_model, firing_context(firing, t), firing[t])

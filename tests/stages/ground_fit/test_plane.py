@@ -5,7 +5,6 @@ import pytest
 from scipy.optimize import least_squares
 
 from salpcc.stages.ground_fit.plane import fit_plane, plane_distance
-from salpcc.stages.ground_fit.regions import SECTORS, region_of
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -25,10 +24,3 @@ def test_three_points_are_met_exactly_and_fewer_than_a_plane_does_no_harm() -> N
     assert np.abs(plane_distance(corner, fit_plane(corner))).max() < 1e-9
     line = np.array([[0.0, 0, 1], [1, 1, 1], [2, 2, 1]])
     assert np.isfinite(fit_plane(line)).all()
-
-
-def test_regions_split_by_azimuth_and_distance() -> None:
-    points = np.array([[5.0, 0.1, 0], [5, -0.1, 0], [-5, 0.1, 0], [10, 0.1, 0], [100, 0.1, 0]])
-    region = region_of(points)
-    assert len(set(region.tolist())) == 5
-    assert region[3] - region[0] == SECTORS
