@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,7 +19,7 @@ from salpcc.pipeline.held_poses import held_poses
 from salpcc.pipeline.plan.plan import SequencePlan, plan_run
 from salpcc.pipeline.schedule.cluster import check_device, connect
 from salpcc.pipeline.schedule.lock import locked
-from salpcc.pipeline.schedule.progress import STDERR, Report, Silent, bar
+from salpcc.pipeline.schedule.progress import STDERR, Report, bar
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.config import UNBOUNDED, RunConfig
 from salpcc.schemas.errors import UsageError
@@ -123,14 +123,10 @@ def _simulate(root: Path, sequences: list[str], config: RunConfig, quiet: bool) 
 
 
 def _watch(request: RunRequest, plans: list[SequencePlan]) -> AbstractContextManager[Report]:
-    if request.quiet:
-        return nullcontext(Silent())
     scans = sum(plan.n_scans for plan in plans)
-    return (
-        bar(2 * scans, "scans coded or measured")
-        if request.graph.reaches("evaluate")
-        else bar(scans, "scans")
-    )
+    if request.graph.reaches("evaluate"):
+        return bar(2 * scans, "scans coded or measured", request.quiet)
+    return bar(scans, "scans", request.quiet)
 
 
 def _gather(

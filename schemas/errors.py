@@ -39,5 +39,13 @@ class LockedError(SalpccError):
     """Another run holds the output folder."""
 
 
+class WorkersDiedError(SalpccError):
+    """Workers keep dying of one piece of work; ``reason`` says how often."""
+
+    def __init__(self, what: str, times: int) -> None:
+        self.reason = f"workers died {times} times on it (out of memory?)"
+        super().__init__(f"{what}: {self.reason}; run the same command with fewer --workers")
+
+
 class LogWarning(UserWarning):
     """A log is not what its metadata say, or something in it stays behind; one line, said before anything is written."""

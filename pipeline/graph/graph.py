@@ -7,19 +7,13 @@ evaluated before new ones are begun.
 
 from __future__ import annotations
 
-import time
-from collections import deque
 from collections.abc import Callable
-from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from functools import partial
-from math import inf
 from pathlib import Path
 from typing import Any
 
-from distributed import Client, Future, as_completed
-from distributed.comm.core import CommClosedError
-from distributed.scheduler import KilledWorker
+from distributed import Client, Future
 
 from salpcc.pipeline.graph.sequence import (
     archive_path,
@@ -35,17 +29,15 @@ from salpcc.pipeline.plan.digests import all_known, recall
 from salpcc.pipeline.plan.held import check_replaceable
 from salpcc.pipeline.plan.plan import SequencePlan
 from salpcc.pipeline.plan.records import recorded
+from salpcc.pipeline.schedule.flow import Flow, each, value_of
 from salpcc.pipeline.schedule.progress import Report
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.config import RunConfig
-from salpcc.schemas.errors import SalpccError
-from salpcc.schemas.files import unreachable, why
+from salpcc.schemas.errors import WorkersDiedError
 from salpcc.schemas.work import STAGES, GopSource, ScanError, ShardRef
 
-_COUNT_EVERY = 5.0  # seconds between looks at how many workers there are
-_SCHEDULER_GONE = (CancelledError, CommClosedError)
-
-Job = tuple[Callable[[], Future[Any]], Callable[[Future[Any]], None]]
+After = Callable[[Future[Any]], None]  # what is done with the result of a task
+Job = tuple[Callable[[], Future[Any]], After]
 
 
 @dataclass(frozen=True)
@@ -87,15 +79,7 @@ class Graph:
     ) -> None:
         self._client, self._config, self._out = client, config, out
         self._options, self._report = options, report
-        self._jobs: deque[Job] = deque()
-        self._limit, self._counted = 0, -inf
-
-    def _room(self) -> int:
-        """How many GOPs may be on their way: one a thread in work, one waiting. Workers come and go."""
-        if time.monotonic() > self._counted + _COUNT_EVERY:
-            self._limit = 2 * (sum(self._client.nthreads().values()) or 1)
-            self._counted = time.monotonic()
-        return self._limit
+        self._flow: Flow[After] = Flow(client)
 
     def run(self, plans: list[SequencePlan]) -> list[Outcome]:
         """Run all sequences; returns what became of each.
@@ -103,26 +87,11 @@ class Graph:
         Raises:
             SalpccError: something that is nobody's scan failed, such as the disk, or the scheduler is gone.
         """
-        try:
-            return self._run([Outcome(plan) for plan in plans])
-        except _SCHEDULER_GONE as error:
-            raise SalpccError(
-                "the scheduler is gone; start it and its workers again, then run the same command again"
-            ) from error
-
-    def _run(self, outcomes: list[Outcome]) -> list[Outcome]:
+        outcomes = [Outcome(plan) for plan in plans]
         for outcome in outcomes:
             self._begin(outcome)
-        running: dict[Future[Any], Callable[[Future[Any]], None]] = {}
-        done = as_completed()
-        while self._jobs or running:
-            while self._jobs and len(running) < self._room():
-                start, after = self._jobs.popleft()
-                future = start()
-                running[future] = after
-                done.add(future)
-            future = next(done)
-            running.pop(future)(future)
+        for after, future in self._flow:
+            after(future)
         return outcomes
 
     def _begin(self, outcome: Outcome) -> None:
@@ -143,26 +112,29 @@ class Graph:
                 outcome.plan = plan = recall(plan, known_files(plan, digests), self._config)
         if outcome.record is not None:
             self._report.advance(plan.n_scans, f"{plan.sequence}: archive is done")
-            self._jobs.extend(self._evaluation(outcome))
+            self._flow.waiting.extend(self._evaluation(outcome))
             return
         for gop in plan.gops:
-            self._jobs.append((partial(self._chain, gop), partial(self._coded, outcome, gop)))
+            self._flow.waiting.append((partial(self._chain, gop), partial(self._coded, outcome, gop)))
 
     def _digests(self, plan: SequencePlan) -> list[GopResult]:
         """Digest the source of each GOP; where files have to be read, workers do it."""
         unread = [gop for gop in plan.gops if not all_known(gop, self._config)]
-        futures = self._client.map(source_digest, unread, config=self._config, pure=False)
-        read = {gop.number: self._value(future) for gop, future in zip(unread, futures, strict=True)}
+        work = [(gop, self._config) for gop in unread]
+        what = [f"digest of {gop.sequence}-{gop.number:05d}" for gop in unread]
+        read = {unread[at].number: digest for at, digest in each(self._client, source_digest, work, what)}
         return [read.get(gop.number) or source_digest(gop, self._config) for gop in plan.gops]
 
     def _chain(self, gop: GopSource) -> Future[Any]:
         name = f"{gop.sequence}-{gop.number:05d}"
-        future = self._submit("digest", name, source_digest, gop, self._config)
+        future = self._flow.submit(f"digest-{name}", source_digest, gop, self._config)
         for stage in STAGES[:-1]:
             if not self._options.reaches(stage):
                 break
             redo = self._options.redo(stage)
-            future = self._submit(stage, name, run_stage, stage, future, gop, self._config, self._out, redo)
+            future = self._flow.submit(
+                f"{stage}-{name}", run_stage, stage, future, gop, self._config, self._out, redo
+            )
         return future
 
     def _coded(self, outcome: Outcome, gop: GopSource, future: Future[Any]) -> None:
@@ -179,12 +151,18 @@ class Graph:
             return
         plan = outcome.plan
         start = partial(
-            self._submit, "archive", plan.sequence, finish, plan, results, self._config, self._out
+            self._flow.submit,
+            f"archive-{plan.sequence}",
+            finish,
+            plan,
+            results,
+            self._config,
+            self._out,
         )
-        self._jobs.appendleft((start, partial(self._archived, outcome)))
+        self._flow.waiting.appendleft((start, partial(self._archived, outcome)))
 
     def _archived(self, outcome: Outcome, future: Future[Any]) -> None:
-        outcome.record = self._value(future)
+        outcome.record = value_of(future, f"archive of {outcome.plan.sequence}")
         if outcome.record is None:
             outcome.errors += [error for result in outcome.coded.values() for error in result.errors]
             archive = archive_path(self._out, outcome.plan.sequence)
@@ -196,7 +174,7 @@ class Graph:
             return
         if not self._options.keep_shards:
             ShardStore(self._out).drop_sequence(outcome.plan.sequence, STAGES[:-1])
-        self._jobs.extendleft(reversed(self._evaluation(outcome)))
+        self._flow.waiting.extendleft(reversed(self._evaluation(outcome)))
 
     def _evaluation(self, outcome: Outcome) -> list[Job]:
         """The archive is there: what is left to do is to measure its GOPs."""
@@ -209,13 +187,22 @@ class Graph:
         for gop in outcome.plan.gops:
             name = f"{gop.sequence}-{gop.number:05d}"
             start = partial(
-                self._submit, "evaluate", name, evaluate_gop, gop, inputs, self._config, self._out, redo
+                self._flow.submit,
+                f"evaluate-{name}",
+                evaluate_gop,
+                gop,
+                inputs,
+                self._config,
+                self._out,
+                redo,
             )
             jobs.append((start, partial(self._measured, outcome, gop)))
         for baseline in self._config.baselines:
             for gop in outcome.plan.gops:
                 name = f"{baseline}-{gop.sequence}-{gop.number:05d}"
-                start = partial(self._submit, "baseline", name, baseline_gop, baseline, gop, self._out, redo)
+                start = partial(
+                    self._flow.submit, f"baseline-{name}", baseline_gop, baseline, gop, self._out, redo
+                )
                 jobs.append((start, partial(self._compared, outcome, baseline, gop)))
         return jobs
 
@@ -233,28 +220,12 @@ class Graph:
             outcome.baselines.append(dict(result.shards)["baseline"])
         self._report.advance(0, f"{gop.sequence}: measured {baseline} on GOP {gop.number}")
 
-    def _submit(self, what: str, name: str, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        return self._client.submit(function, *arguments, key=f"{what}-{name}-{id(self):x}", pure=False)
-
-    def _result(self, future: Future[Any], gop: GopSource, stage: str) -> GopResult:
+    @staticmethod
+    def _result(future: Future[Any], gop: GopSource, stage: str) -> GopResult:
         """The result of a GOP's task; workers that keep dying of it cost this GOP, not the run."""
         try:
-            result: GopResult = self._value(future)
+            result: GopResult = value_of(future, f"{gop.sequence}-{gop.number:05d}")
             return result
-        except KilledWorker as error:
-            reason = f"workers died {error.allowed_failures + 1} times on this GOP (out of memory?)"
-            errors = tuple(ScanError(gop.sequence, scan.name, stage, reason) for scan in gop.scans)
+        except WorkersDiedError as error:
+            errors = tuple(ScanError(gop.sequence, scan.name, stage, error.reason) for scan in gop.scans)
             return GopResult("", "", errors=errors, failed=True)
-
-    @staticmethod
-    def _value(future: Future[Any]) -> Any:
-        try:
-            return future.result()
-        except (KilledWorker, SalpccError, *_SCHEDULER_GONE):
-            raise
-        except Exception as error:
-            if not (isinstance(error, OSError) or unreachable(error)):
-                raise
-            name = getattr(error, "filename", None)
-            what = f"{name}: {why(error)}" if name else why(error)
-            raise SalpccError(f"{what}; make room or mend it, then run the same command again") from error

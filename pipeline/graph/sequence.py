@@ -176,7 +176,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
         digest = digest_of(inputs, "evaluate", evaluate.VERSION, gop.number, content)
         ref = store.ref(gop.sequence, "evaluate", gop.number, digest)
         result = GopResult(inputs, digest, (("evaluate", ref),))
-        if store.has(ref) and not redo:
+        if not redo and store.found(ref) is not None:
             return result
         entries = reader.entries[gop.number]
         names = {entry.name for entry in entries}
@@ -284,7 +284,7 @@ def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
     digest = digest_of("baseline", name, measure.VERSION, scans, *more)
     ref = store.ref(gop.sequence, f"baseline-{name}", gop.number, digest)
     result = GopResult(digest, digest, (("baseline", ref),))
-    if not store.has(ref) or redo:
+    if redo or store.found(ref) is None:
         table = measure_scans(name, _readable(gop), gop.sequence)
         store.write(ref, table, {"stage": "evaluate", "stage_version": evaluate.VERSION, "baseline": name})
     return result

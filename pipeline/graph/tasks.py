@@ -71,10 +71,7 @@ def run_stage(
     store = ShardStore(out)
     digest = digest_of(before.digest, stage, STAGES[stage].version)
     ref = store.ref(gop.sequence, stage, gop.number, digest)
-    facts = None
-    if store.has(ref) and not redo:
-        with suppress(ShardError):  # a damaged shard is made again
-            facts = store.facts(ref)
+    facts = None if redo else store.found(ref)
     if facts is None or any(error["stage"] != "ingest" for error in facts["errors"]):
         try:
             table, facts = _work(

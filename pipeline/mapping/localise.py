@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from salpcc.pipeline.plan.plan import missing_root
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.flow import each
 from salpcc.pipeline.schedule.lock import locked
-from salpcc.pipeline.schedule.progress import Report, Silent, bar
+from salpcc.pipeline.schedule.progress import bar
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.evaluate.report import record
@@ -64,10 +64,9 @@ def localise(request: LocaliseRequest) -> pa.Table:
     with ExitStack() as stack:
         stack.enter_context(locked(request.out))
         ShardStore(request.out).sweep()
-        client = stack.enter_context(connect(request.workers, request.scheduler))
         steps = sum(len(s.pairs) for s in stretches)
-        watch = nullcontext(Silent()) if request.quiet else bar(steps, "pairs registered")
-        report: Report = stack.enter_context(watch)
+        report = stack.enter_context(bar(steps, "pairs registered", request.quiet))
+        client = stack.enter_context(connect(request.workers, request.scheduler))
         for reader in (reader for readers in by_sequence.values() for reader in readers):
             if reader.movable == "one layer" and not reader.has_classes:
                 report.say(f"{reader.path}: {NO_CLASSES}; it is registered with them only")

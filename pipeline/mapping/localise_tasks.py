@@ -90,7 +90,7 @@ def register_stretch(stretch: Stretch, rivals: Sequence[Rival], thin: int, out: 
     inputs = [ArchiveReader(path).facts.inputs for path in stretch.archives]
     digest = digest_of(VERSION, asdict(stretch), inputs, [asdict(rival) for rival in rivals], thin)
     ref = store.ref(stretch.sequence, "registration", stretch.places[0][0], digest)
-    if store.has(ref):
+    if store.found(ref) is not None:
         return ref
     opened = [(Archive(path), _bits(ArchiveReader(path))) for path in stretch.archives]
     rows: list[dict[str, Any]] = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
@@ -31,7 +31,7 @@ from salpcc.pipeline.mapping.map_track import Track
 from salpcc.pipeline.mapping.map_write import Whole, write_track, write_whole
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.lock import locked
-from salpcc.pipeline.schedule.progress import Report, Silent, bar
+from salpcc.pipeline.schedule.progress import bar
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.version import TOOL
@@ -68,10 +68,9 @@ def make_map(request: MapRequest) -> dict[str, Any]:
             return done
         store = ShardStore(request.out)
         store.sweep()
-        client = stack.enter_context(connect(request.workers, request.scheduler))
         steps = (4 if refs is not None else 3) * plan.n_scans
-        watch = nullcontext(Silent()) if request.quiet else bar(steps, "scans read, placed or built")
-        report: Report = stack.enter_context(watch)
+        report = stack.enter_context(bar(steps, "scans read, placed or built", request.quiet))
+        client = stack.enter_context(connect(request.workers, request.scheduler))
         untold = _untold(request)
         if untold:
             report.say(f"{', '.join(untold)}: {NO_CLASSES}, or {ASK}")

@@ -102,7 +102,8 @@ def truth_group(
         within and asdict(within),
     )
     ref = store.ref(group.sequence, "truth", group.number, digest)
-    if not store.has(ref):
+    facts = store.found(ref)
+    if facts is None:
         truth = [
             _truth_of(scan, pose, motion, config) for scan, pose, motion in _placed(refs, poses, motions)
         ]
@@ -118,7 +119,7 @@ def truth_group(
                 batches.append(truth_to_batch(counts))
         facts = {"stage": "truth", "stage_version": VERSION, "tiles": tiles}
         write_blocks(store, ref, batches, TRUTH, facts)
-    return TruthRef(ref, tuple((x, y) for x, y in store.facts(ref)["tiles"]))
+    return TruthRef(ref, tuple((x, y) for x, y in facts["tiles"]))
 
 
 def tally_tile(

@@ -52,7 +52,7 @@ def scans_of(group: Group, config: MapConfig, store: ShardStore) -> Iterator[Sca
         return
     digest = digest_of(VERSION, content_of(group, config), group.names, WEIGHTS)
     ref = store.ref(group.sequence, "classes", group.number, digest)
-    if not store.has(ref):
+    if store.found(ref) is None:
         _ask(group, reader, store, ref)
     classes, at = np.array(store.read(ref)[0].column("class")), 0
     for scan in decode_scans(reader, group.gop, layers):

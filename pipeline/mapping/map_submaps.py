@@ -69,7 +69,8 @@ def gather_group(
     digest = digest_of(VERSION, content, group.sequence, group.names, poses, motions, relevant)
     entries = store.ref(group.sequence, "submap", group.number, digest)
     views = store.ref(group.sequence, "views", group.number, digest)
-    if not (store.has(entries) and store.has(views)):
+    facts = store.found(entries) if store.found(views) is not None else None
+    if facts is None:
         started = time.process_time()
         placed = np.array(poses).reshape(-1, 4, 4)
         submap = gather(scans_of(group, config, store), placed, np.array(motions).reshape(-1, 6), config)
@@ -78,6 +79,8 @@ def gather_group(
         store.write(views, views_to_table(submap.views), {"stage": "views", "stage_version": VERSION})
         boxes = [Box.around(submap.voxels.xyz[part]) for _, part in blocks]
         facts = {
+            "stage": "submap",
+            "stage_version": VERSION,
             "corner": corner.tolist(),
             "boxes": [[box.low, box.high] for box in boxes],
             "viewed": [view.pose[:3, 3].tolist() for view in submap.views],
@@ -86,8 +89,7 @@ def gather_group(
             "peak_mb": peak_mb(),
         }
         batches = [entries_to_batch(submap.voxels[part], corner) for _, part in blocks]
-        write_blocks(store, entries, batches, ENTRIES, {"stage": "submap", "stage_version": VERSION, **facts})
-    facts = store.facts(entries)
+        write_blocks(store, entries, batches, ENTRIES, facts)
     return Submap(
         entries,
         views,

@@ -88,21 +88,22 @@ def build_tile(
         within and asdict(within),
     )
     ref = ShardRef(f"{sequence}/tile/{tile.name}-{digest[:16]}.arrow", digest)
-    if not store.has(ref):
+    facts = store.found(ref)
+    if facts is None:
         started = time.process_time()
         corner = tile.corner(config.tile)
         built = build(*_read_parts(store, parts, tile, config), config)
         if within is not None:
             built = built[within.holds(built.voxels.xyz)]
         facts = {
+            "stage": "tile",
+            "stage_version": VERSION,
             "corner": corner.tolist(),
             **figures_of(built),
             "cpu_ms": 1e3 * (time.process_time() - started),
             "peak_mb": peak_mb(),
         }
-        table = built_to_table(built, corner)
-        store.write(ref, table, {"stage": "tile", "stage_version": VERSION, **facts})
-    facts = store.facts(ref)
+        store.write(ref, built_to_table(built, corner), facts)
     figures = {f.name: facts[f.name] for f in fields(TileResult)[2:]}
     if facts["kept"] + facts["carved_or_dropped"] == 0:
         return TileResult(tile, None, **figures)

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -77,7 +76,8 @@ def prepare_group(group: Group, config: MapConfig, out: Path) -> Prepared:
     reach = (config.min_range, config.max_range)
     digest = digest_of(VERSION, content, group.sequence, group.names, group.numbers, reach)
     ref = store.ref(group.sequence, "thinned", group.number, digest)
-    if not store.has(ref):
+    facts = store.found(ref)
+    if facts is None:
         started = time.process_time()
         columns, sizes, motions = [], [], []
         for scan in scans_of(group, config, store):
@@ -86,14 +86,15 @@ def prepare_group(group: Group, config: MapConfig, out: Path) -> Prepared:
             motions.append(None if scan.motion is None else scan.motion.tolist())
         rows = np.concatenate(columns)
         table = pa.table([pa.array(column) for column in rows.T.copy()], schema=_THINNED)
-        facts: dict[str, Any] = {
+        facts = {
+            "stage": "thinned",
+            "stage_version": VERSION,
             "sizes": sizes,
             "motions": motions,
             "cpu_ms": 1e3 * (time.process_time() - started),
             "peak_mb": peak_mb(),
         }
-        store.write(ref, table, {"stage": "thinned", "stage_version": VERSION, **facts})
-    facts = store.facts(ref)
+        store.write(ref, table, facts)
     return Prepared(ref, facts["cpu_ms"], facts["peak_mb"])
 
 
@@ -118,7 +119,7 @@ def track(groups: Sequence[Group], prepared: Sequence[Prepared], refine: bool, o
         None if given is None else [group.poses for group in groups],
     )
     ref = store.ref(groups[0].sequence, "track", 0, digest)
-    if store.has(ref):
+    if store.found(ref) is not None:
         return ref
     started = time.process_time()
     clouds = [

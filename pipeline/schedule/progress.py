@@ -62,8 +62,11 @@ def starting() -> Iterator[None]:
 
 
 @contextmanager
-def bar(total: int, unit: str) -> Iterator[Report]:
-    """Show a bar over ``total`` steps (scans times passes) of a ``unit``, such as "scans coded or measured"."""
+def bar(total: int, unit: str, quiet: bool = False) -> Iterator[Report]:
+    """Show a bar over ``total`` steps (scans times passes) of a ``unit``, such as "scans coded or measured"; or nothing."""
+    if quiet:
+        yield Silent()
+        return
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),

@@ -64,6 +64,18 @@ class ShardStore:
         """
         return self._read(ref, facts_only=True)[1]
 
+    def found(self, ref: ShardRef) -> dict[str, Any] | None:
+        """Return the facts of a shard that was made before, None where it has to be made (again).
+
+        By this an interrupted run, map or localisation goes on where it was; what is damaged is deleted.
+        """
+        if not self.has(ref):
+            return None
+        try:
+            return self.facts(ref)
+        except ShardError:
+            return None
+
     def _read(self, ref: ShardRef, facts_only: bool) -> tuple[pa.Table, dict[str, Any]]:
         try:
             return read_shard(self.root / ref.path, facts_only)

@@ -277,7 +277,7 @@ def test_something_moves_before_the_workers_are_there(
     seen: list[str] = []
 
     @contextmanager
-    def bar(total: int, unit: str) -> Iterator[Silent]:
+    def bar(total: int, unit: str, quiet: bool) -> Iterator[Silent]:
         seen.append(f"{total} {unit}")
         yield Silent()
 

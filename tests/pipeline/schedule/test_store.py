@@ -64,6 +64,18 @@ def test_flipped_bits_of_a_shard_are_found_and_it_is_made_again(tmp_path: Path) 
     assert same < 8 * len(whole) // 97 // 2  # padding, and metadata that is there twice
 
 
+def test_what_was_made_before_is_found_and_what_is_torn_is_to_be_made(tmp_path: Path) -> None:
+    store = ShardStore(tmp_path)
+    ref = store.ref("04", "segment", 3, "ab" * 32)
+    assert store.found(ref) is None
+    store.write(ref, TABLE, {"stage": "segment"})
+    facts = store.found(ref)
+    assert facts is not None and facts["stage"] == "segment" and facts == store.facts(ref)
+    path = store.root / ref.path
+    path.write_bytes(path.read_bytes()[:-9])
+    assert store.found(ref) is None and not path.exists()
+
+
 def test_missing_shard_names_itself(tmp_path: Path) -> None:
     store = ShardStore(tmp_path)
     with pytest.raises(ShardError, match=r"00000-0000000000000000\.arrow"):
