@@ -9,12 +9,17 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
 
 from salpcc.pipeline.cli.boxes import parse_box
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout.")]
+
+_SHOWN = 20  # changes on the screen
 
 
 def register(maps: typer.Typer) -> None:
@@ -23,6 +28,47 @@ def register(maps: typer.Typer) -> None:
         epilog="Examples:  `salpcc-pipeline map edit map --restore 17`  ·  "
         "`salpcc-pipeline map edit map --restore 10,-5,-2,14,3,2`"
     )(edit)
+    maps.command(epilog="Example:  `salpcc-pipeline map diff monday tuesday --out changes`")(diff)
+
+
+def diff(
+    before: Annotated[
+        Path, typer.Argument(metavar="A", help="The map of one session, with LAZ or PLY tiles.")
+    ],
+    after: Annotated[
+        Path, typer.Argument(metavar="B", help="That of another one, its poses in the same frame.")
+    ],
+    out: Annotated[Path, typer.Option(help="diff.json, a picture, and what changed in LAZ go here.")],
+    json_: Json = False,
+) -> None:
+    """Compare two maps of one place: objects that are gone, appeared, or stand elsewhere.
+
+    What only one of the sessions could see is no change.
+    """
+    require("map", "map diff")
+    from salpcc.pipeline.mapping.map_diff import diff as compare
+
+    summary = compare(before, after, out)
+    if json_:
+        typer.echo(json.dumps(summary, indent=1))
+        return
+    table = Table(box=SIMPLE_HEAD)
+    for column in ("change", "object", "class", "voxels", "x", "y", "z", "way, m"):
+        table.add_column(column, justify="left" if column in ("change", "class") else "right")
+    for row in summary["changes"][:_SHOWN]:
+        middle = (f"{(low + high) / 2:.1f}" for low, high in zip(row["box"], row["box"][3:], strict=False))
+        way = f"{row['way_m']:.1f}" if "way_m" in row else "-"
+        table.add_row(row["change"], str(row["object"]), row["class"], str(row["voxels"]), *middle, way)
+    if summary["changes"]:
+        Console(emoji=False).print(table)
+    objects, unseen = summary["objects"], summary["voxels"]["after"]["not_seen_by_the_other"]
+    more = max(0, len(summary["changes"]) - _SHOWN)
+    typer.echo(
+        ", ".join(f"{count} {kind}" for kind, count in objects.items())
+        + (f" ({more} more in diff.json)" if more else "")
+        + f"; {unseen} voxels of {after} are where {before} saw nothing; the maps lie {100 * summary['apart_m']:.1f} cm apart"
+    )
+    typer.echo(f"summary: {out / 'diff.json'}\npicture: {out / 'diff.png'}")
 
 
 def edit(

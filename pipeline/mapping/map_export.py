@@ -60,7 +60,7 @@ def with_columns(
         header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype))
     header.vlrs.append(text_record(intensity_text(factor, np.dtype(np.float32), "mean_intensity"), *texts))
     las = laspy.LasData(header)
-    las.xyz = voxels.xyz + origin
+    las.x, las.y, las.z = (voxels.xyz + origin).T
     las.intensity, _ = las_intensity(voxels.intensity, factor)
     las.mean_intensity = voxels.intensity
     las.classification = _ASPRS[voxels.classes]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import matplotlib
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT
 from salpcc.stages.mapping.voxel import SYNTHETIC, Voxels
@@ -20,7 +20,11 @@ WIDTH, HEIGHT = 960, 600  # pixels
 _PER_PIXEL = 0.125  # metres, from above
 _LEVELS = 40  # colours for height, 1 to _LEVELS; 0 is the background
 _LOW, _HIGH = -2.0, 7.0  # metres above the sensor's way, of the first and last colour
-_RED, _ORANGE, _BLUE = _LEVELS + 1, _LEVELS + 2, _LEVELS + 3
+_RED, _ORANGE, _BLUE, _GREEN = _LEVELS + 1, _LEVELS + 2, _LEVELS + 3, _LEVELS + 4
+_GREY, _WHITE = _LEVELS + 5, 255
+_MARGIN = 12  # pixels around what is written on a picture
+_BARS = tuple(digit * 10**power for power in range(6) for digit in (1, 2, 5))  # metres
+_REMOVED = {_RED: "of a movable class, or among it", _ORANGE: "seen through"}
 _BEHIND, _ABOVE, _DOWN = 30.0, 20.0, np.radians(27.0)  # the eye: metres from the sensor, and its tilt
 _FOCAL = 0.9 * WIDTH
 
@@ -62,9 +66,11 @@ def pictures(voxels: Voxels, against: NDArray[np.uint8], place: Place) -> dict[s
     marked[against & (DROPPED | OBJECT) != 0] = _RED
     measured, kept = voxels.count > 0, against == 0
     out = {}
-    for name, draw in (("above", _above), ("perspective", _perspective)):
-        out[f"{name}_before"] = _png(draw(local[measured], marked[measured]))
-        out[f"{name}_after"] = _png(draw(local[kept], colour[kept]))
+    for name, draw, scale in (("above", _above, _PER_PIXEL), ("perspective", _perspective, None)):
+        out[f"{name}_before"] = _png(draw(local[measured], marked[measured]), scale, _REMOVED)
+        out[f"{name}_after"] = _png(
+            draw(local[kept], colour[kept]), scale, {_BLUE: "filled in"} if _BLUE in colour else {}
+        )
     return out
 
 
@@ -72,14 +78,24 @@ def removed_picture(voxels: Voxels, against: NDArray[np.uint8]) -> bytes:
     """Draw a PNG of what was removed, from above, x to the right: orange what was seen through, red what its class told."""
     colour = np.where(against & CARVED, _ORANGE, _RED).astype(np.uint8)
     middle = np.median(voxels.xyz, axis=0) if len(voxels) else np.zeros(3)
-    return _png(_above(voxels.xyz - middle, colour))
+    return _png(_above(voxels.xyz - middle, colour), _PER_PIXEL, _REMOVED)
 
 
-def _above(local: F64, colour: Index) -> Index:
-    """Paint from above, driving direction to the right, the highest in front; marks go over all."""
-    column = np.floor(local[:, 0] / _PER_PIXEL + WIDTH / 2).astype(np.int64)
-    row = np.floor(HEIGHT / 2 - local[:, 1] / _PER_PIXEL).astype(np.int64)
-    order = np.lexsort((local[:, 2], colour > _LEVELS))
+def difference_picture(xyz: F64, state: NDArray[np.uint8]) -> bytes:
+    """Draw a PNG of what differs between two maps, from above, x to the right, all of it: state 0 is in both, 1 gone, 2 appeared, 3 moved."""
+    low, high = (xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)) if len(xyz) else (np.zeros(2), np.ones(2))
+    scale = max(_PER_PIXEL, *((high - low) / (WIDTH, HEIGHT)))
+    colour = np.array([_GREY, _RED, _GREEN, _BLUE], np.uint8)[state]
+    middle = np.append((low + high) / 2, 0.0)
+    legend = {_GREY: "in both", _RED: "gone", _GREEN: "appeared", _BLUE: "moved"}
+    return _png(_above(xyz - middle, colour, scale), scale, legend)
+
+
+def _above(local: F64, colour: Index, scale: float = _PER_PIXEL) -> Index:
+    """Paint from above, driving direction to the right, ``scale`` metres a pixel, the highest in front; marks go over all."""
+    column = np.floor(local[:, 0] / scale + WIDTH / 2).astype(np.int64)
+    row = np.floor(HEIGHT / 2 - local[:, 1] / scale).astype(np.int64)
+    order = np.lexsort((local[:, 2], (colour > _LEVELS) & (colour != _GREY)))
     return _paint(row, column, colour, order, np.zeros(len(local), np.int64))
 
 
@@ -120,14 +136,26 @@ def _height_colour(z: F64) -> Index:
     return (1 + np.floor(part * (_LEVELS - 1))).astype(np.uint8)
 
 
-def _png(image: Index) -> bytes:
+def _png(image: Index, metres: float | None, legend: dict[int, str]) -> bytes:
+    """Colour an image, with a legend of some colours, and a bar of a round length where all pixels are as many ``metres``."""
     scale = matplotlib.colormaps["viridis"](np.linspace(0.12, 1.0, _LEVELS))[:, :3]
     table = np.zeros((256, 3), np.uint8)
     table[0] = (16, 19, 26)
     table[1 : _LEVELS + 1] = np.round(255 * scale)
     table[_RED], table[_ORANGE], table[_BLUE] = (235, 40, 45), (255, 150, 40), (90, 170, 255)
+    table[_GREEN], table[_GREY], table[_WHITE] = (60, 210, 90), (95, 100, 110), (255, 255, 255)
     picture = Image.fromarray(image, "P")
     picture.putpalette(table.ravel().tolist())
+    pen, at = ImageDraw.Draw(picture), WIDTH
+    for of, text in reversed(legend.items()):  # from the right upper corner to the left
+        at -= 14 + int(pen.textlength(text)) + _MARGIN
+        pen.rectangle((at, _MARGIN, at + 9, _MARGIN + 9), fill=of)
+        pen.text((at + 14, _MARGIN - 1), text, fill=_WHITE)
+    if metres is not None:
+        length = next(n for n in _BARS if n / metres > WIDTH / 12)
+        y, x = HEIGHT - _MARGIN, WIDTH - _MARGIN
+        pen.rectangle((x - round(length / metres), y - 3, x, y), fill=_WHITE)
+        pen.text((x - round(length / metres), y - 18), f"{length} m", fill=_WHITE)
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
