@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from salpcc.pipeline.against import Source, bounds, places_in_source
 from salpcc.pipeline.decode import decode_groups
 from salpcc.pipeline.edit.redact import check_redacted
 from salpcc.pipeline.plan.logs import compare_log
-from salpcc.pipeline.plan.plan import missing_root
 from salpcc.pipeline.plan.side_files import compare_side
-from salpcc.schemas.config import GRID_ACCURACY
-from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
-from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
+from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.work import ScanRef
-from salpcc.stages.evaluate.measures.match import kept_points
 from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits
-from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.ingest.sources.label_files import labels_that_fit
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
@@ -79,7 +72,7 @@ def verify(
     verdict.side_files = len(reader.side)
     if redacted_from is not None:
         verdict.problems += check_redacted(reader, redacted_from)
-    refs = _sources(reader, against) if against is not None else None
+    source = Source(reader, against) if against is not None else None
     verdict.against = str(against) if against is not None else None
     try:
         reader.check()
@@ -97,26 +90,24 @@ def verify(
                     verdict.problems.append(
                         f"scan {entry.name}: {len(scan)} points, the index says {entry.kept}"
                     )
-                if refs is not None:
-                    topic = scan.cloud.topic if scan.cloud else ""
-                    coded[topic] += 1
-                    ref = refs.get(_key(topic, scan.name))
-                    _compare(scan, ref, facts.source, facts.config, verdict, reader.movable == "dropped")
+                coded[scan.cloud.topic if scan.cloud else ""] += 1
+                if source is not None:
+                    _compare(scan, source, facts.config, verdict, reader.movable == "dropped")
         except (ArchiveError, ValueError) as error:
             verdict.problems.append(str(error))
-    verdict.problems += _side_problems(reader, against, refs)
-    if against is not None and reader.log:
-        passed, problems = compare_log(reader, against, coded, whole=not facts.config.get("frames"))
+    verdict.problems += _side_problems(reader, source)
+    if source is not None and reader.log:
+        passed, problems = compare_log(reader, source.root, coded, whole=not facts.config.get("frames"))
         verdict.passed_messages = passed
         verdict.problems += problems
     return verdict
 
 
-def _side_problems(reader: ArchiveReader, against: Path | None, refs: dict[str, ScanRef] | None) -> list[str]:
+def _side_problems(reader: ArchiveReader, source: Source | None) -> list[str]:
     """What is wrong with the side files: all are read, and compared with those of the data root where one is given."""
-    if against is not None and refs is not None:
-        folder = SOURCES[reader.facts.source].folder(against, reader.facts.sequence)
-        return compare_side(reader, folder, refs.values())
+    if source is not None:
+        folder = SOURCES[reader.facts.source].folder(source.root, reader.facts.sequence)
+        return compare_side(reader, folder, source.refs.values())
     problems = []
     for name in reader.side:
         try:
@@ -126,39 +117,13 @@ def _side_problems(reader: ArchiveReader, against: Path | None, refs: dict[str, 
     return problems
 
 
-def _key(topic: str, name: str) -> str:
-    """A scan's name; of a message, its topic and number, as names depend on how many topics were coded."""
-    return f"{topic} {name.rsplit('-')[-1]}" if topic else name
-
-
-def _sources(reader: ArchiveReader, root: Path) -> dict[str, ScanRef]:
-    facts = reader.facts
-    if facts.source not in SOURCES:
-        raise UsageError(f"{reader.path}: made from {facts.source}, there are no files to compare with")
-    if not (root.is_dir() or (reader.log and root.exists())):
-        raise UsageError(missing_root(root, facts.source))
+def _compare(scan: Scan, source: Source, config: dict[str, Any], verdict: Verdict, dropped: bool) -> None:
     try:
-        refs = SOURCES[facts.source].scans(root, facts.sequence)
-        columns = facts.config.get("columns", 4)
-        return {_key(ref.topic, ref.name): replace(ref, columns=columns) for ref in refs}
-    except SourceError as error:
-        raise UsageError(str(error)) from error
-
-
-def _compare(
-    scan: Scan, ref: ScanRef | None, kind: str, config: dict[str, Any], verdict: Verdict, dropped: bool
-) -> None:
-    if ref is None:
-        verdict.problems.append(f"scan {scan.name}: not in {verdict.against}")
-        return
-    given = config.get("labels") == "given"
-    try:
-        source = SOURCES[kind].read(ref, with_labels=given)
-        source = replace(source, labels=labels_that_fit(ref, len(source)))
+        recorded, path = source.of(scan)
     except SourceError as error:
         verdict.problems.append(str(error))
         return
-    compare(scan, source, ref.path, config, verdict, dropped)
+    compare(scan, recorded, path, config, verdict, dropped)
 
 
 def compare(
@@ -170,17 +135,17 @@ def compare(
         config: that the archive was coded with.
         dropped: what may move is not in the archive.
     """
-    given = config.get("labels") == "given"
-    if config.get("profile") == "paper":
-        _compare_grid(scan, source, path, config.get("max_error") or GRID_ACCURACY, verdict)
-        return
-    bounds = _bounds(scan, config)
-    kept = _kept(source, scan, given and dropped, max(bound for _, bound in bounds))
-    if kept is None or kept.sum() != len(scan):
+    places = places_in_source(scan, source, config, dropped)
+    if places is None:
         verdict.problems.append(f"scan {scan.name}: its {len(scan)} points are not those of {path}")
         return
-    verdict.points_dropped += len(source) - len(scan)
-    points, intensity = source.points[kept], source.intensity[kept]
+    verdict.points_dropped += len(source) - len(scan)  # of a grid, with what it loses
+    points, intensity = source.points[places], source.intensity[places]
+    if config.get("profile") == "paper":
+        _note_error(verdict, point_errors(points, scan.points).maximum)
+        return
+    kept = np.zeros(len(source), np.bool_)
+    kept[places] = True
     if scan.labels is not None and (source.labels is None or not (source.labels[kept] == scan.labels).all()):
         verdict.problems.append(f"scan {scan.name}: its labels are not those of {path}")
     if not same_bits(intensity, scan.intensity):
@@ -191,21 +156,17 @@ def compare(
         verdict.problems.append(f"scan {scan.name}: its message differs from {path}")
     elif same_bits(points, scan.points):
         verdict.bit_exact_scans += 1
-    for which, bound in bounds:
+    for which, bound in bounds(scan, config):
         worst = point_errors(points[which], scan.points[which]).maximum
-        verdict.max_error_m = max(verdict.max_error_m or 0.0, worst)
+        _note_error(verdict, worst)
         if not bound and not same_bits(points[which], scan.points[which]):
             verdict.problems.append(f"scan {scan.name}: not bit-exact with {path}")
         elif bound and worst > bound:
             verdict.problems.append(f"scan {scan.name}: an error of {worst} m, {bound} m was asked")
 
 
-def _bounds(scan: Scan, config: dict[str, Any]) -> list[tuple[NDArray[np.bool_], float]]:
-    """Which points of a scan were asked for with which error in metres, 0 for exact."""
-    static, movable = config.get("max_error") or 0.0, config.get("movable_max_error")
-    if scan.movable is None or movable is None:
-        return [(np.ones(len(scan), np.bool_), static)]
-    return [(~scan.movable, static), (scan.movable, movable)]
+def _note_error(verdict: Verdict, error: float) -> None:
+    verdict.max_error_m = max(verdict.max_error_m or 0.0, error)
 
 
 def layer_sizes(reader: ArchiveReader) -> dict[str, dict[str, int]] | None:
@@ -220,21 +181,3 @@ def layer_sizes(reader: ArchiveReader) -> dict[str, dict[str, int]] | None:
         }
         for name, gops in layers.items()
     }
-
-
-def _compare_grid(scan: Scan, source: Scan, path: str, accuracy: float, verdict: Verdict) -> None:
-    """Every point of the grid must come from a source point; what the grid loses is counted with what was dropped."""
-    index = source_of(scan, source, accuracy)
-    if index is None:
-        verdict.problems.append(f"scan {scan.name}: its {len(scan)} points are not those of {path}")
-        return
-    verdict.points_dropped += len(source) - len(scan)
-    worst = point_errors(source.points[index], scan.points).maximum
-    verdict.max_error_m = max(verdict.max_error_m or 0.0, worst)
-
-
-def _kept(source: Scan, decoded: Scan, by_labels: bool, bound: float) -> NDArray[np.bool_] | None:
-    """Mark the source points that should have come back: by their labels, else by matching in order."""
-    if by_labels and source.classes is not None:
-        return np.asarray(GROUP_OF_CLASS[source.classes] != MOVABLE)
-    return kept_points(source, decoded, bound)

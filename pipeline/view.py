@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.pipeline.against import Source
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.decode import Layers
 from salpcc.pipeline.export.tell import Tell, in_silence
@@ -40,6 +42,7 @@ _HERE = "127.0.0.1"
 _HEAD = 256  # bytes in which an archive has the type of its first channel
 _MOST_TURNS = 5  # between scans, over which a motion is carried on
 _PATH = (230, 60, 60)
+_UNITS = {"height": " m", "intensity": "", "error": " mm"}
 _STATIC, _MOVABLE = (150, 155, 165), (240, 120, 30)
 # From dark to bright, evenly for the eye and for those who cannot tell red from green.
 _RAMP = np.array(
@@ -53,22 +56,32 @@ class Palette:
 
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    def of(self, scan: Scan) -> dict[str, Colours]:
-        """Return, by what they tell, the colours ``(N, 3)`` of a scan's points."""
+    def of(self, scan: Scan, errors: F64 | None = None) -> dict[str, Colours]:
+        """Return, by what they tell, the colours ``(N, 3)`` of a scan's points; ``errors``: ``(N,)`` metres, where known."""
         found = {
             "height": self._ramp("height", scan.points[:, 2]),
             "intensity": self._ramp("intensity", scan.intensity),
         }
+        if errors is not None:
+            found["error"] = self._ramp("error", 1000 * errors)
         if (classes := _classes(scan)) is not None:
             found["class"] = np.array([c.colour for c in CLASSES], np.uint8)[classes]
         if scan.movable is not None:
             found["layer"] = np.array([_STATIC, _MOVABLE], np.uint8)[scan.movable.astype(np.intp)]
         return found
 
-    def _ramp(self, name: str, values: NDArray[np.float32]) -> Colours:
+    def title(self, name: str) -> str:
+        """Say what colours tell, and of a value what is darkest and what is brightest."""
+        if name not in self.limits:
+            return name
+        low, high = (f"{limit:.3g}" for limit in self.limits[name])
+        return f"{name} {low} to {high}{_UNITS[name]}"
+
+    def _ramp(self, name: str, values: NDArray[Any]) -> Colours:
         if name not in self.limits:
             finite = values[np.isfinite(values)]
             low, high = np.percentile(finite, (2, 98)) if len(finite) else (0.0, 1.0)
+            low = 0.0 if name == "error" else low
             self.limits[name] = float(low), max(float(high), float(low) + 1e-6)
         low, high = self.limits[name]
         place = np.clip(np.nan_to_num((values - low) / (high - low)), 0, 1) * (len(_RAMP) - 1)
@@ -168,35 +181,45 @@ class Drive:
 
 
 def view(
-    path: Path, layers: Layers = "all", frames: tuple[int, int] | None = None, save: Path | None = None
+    path: Path,
+    layers: Layers = "all",
+    frames: tuple[int, int] | None = None,
+    against: Path | None = None,
+    save: Path | None = None,
 ) -> int:
     """Show scans in a window of Rerun, or write them to ``save``, which it opens (FILE.rrd).
+
+    Args:
+        against: the source of an archive, from which the errors of its points are measured, and shown.
 
     Returns:
         the number of scans.
 
     Raises:
-        UsageError, ArchiveError, SourceError: as in :func:`scans_of`; ``save`` is named otherwise.
+        UsageError, ArchiveError, SourceError: as in :func:`scans_of`; ``save`` is named otherwise, or ``against`` is no source of it.
         OSError: ``save`` cannot be written.
     """
     import rerun as rr
 
     if save is not None and save.suffix != ".rrd":  # it would take the place of an archive
         raise UsageError(f"{save}: a recording is a file NAME.rrd")
-    scans = scans_of(path, layers, frames)
-    first = next(scans)
+    reader = ArchiveReader(path) if is_archive(path) else None
+    if reader is None and against is not None and path.exists():
+        raise UsageError(f"{path}: only an archive has a source to be compared with")
+    source = Source(reader, against) if reader is not None and against is not None else None
+    scans = ((scan, source.errors(scan) if source else None) for scan in scans_of(path, layers, frames))
     palette = Palette()
-    blueprint = _blueprint(list(palette.of(first)))
+    first = next(scans)
+    blueprint = _blueprint({name: palette.title(name) for name in palette.of(*first)})
     rr.init(f"salpcc {path.stem}", spawn=save is None, default_blueprint=blueprint)
     if save is not None:
         save.parent.mkdir(parents=True, exist_ok=True)
         save.open("wb").close()  # Rerun's own error says nothing of where
         rr.save(save, default_blueprint=blueprint)
     rr.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    drive = Drive(held_poses(ArchiveReader(path)) if is_archive(path) else _NONE)
-    _log(rr, first, drive, palette)
-    for scan in scans:
-        _log(rr, scan, drive, palette)
+    drive = Drive(_NONE if reader is None else held_poses(reader))
+    for scan, errors in chain([first], scans):
+        _log(rr, scan, errors, drive, palette)
     paths = [np.array(path) for path in drive.paths if len(path) > 1]
     rr.log("path", rr.LineStrips3D(paths, colors=[_PATH] * len(paths), radii=0.08), static=True)
     if save is not None:
@@ -205,7 +228,11 @@ def view(
 
 
 def view_in_browser(
-    path: Path, layers: Layers = "all", frames: tuple[int, int] | None = None, tell: Tell = in_silence
+    path: Path,
+    layers: Layers = "all",
+    frames: tuple[int, int] | None = None,
+    against: Path | None = None,
+    tell: Tell = in_silence,
 ) -> None:
     """Show scans in a browser until the process is interrupted; only this machine can reach them.
 
@@ -213,11 +240,11 @@ def view_in_browser(
         tell: is told how many scans there are, and the address.
 
     Raises:
-        UsageError, ArchiveError, SourceError: as in :func:`scans_of`.
+        UsageError, ArchiveError, SourceError: as in :func:`view`.
     """
     with TemporaryDirectory() as folder:
         file = Path(folder) / f"{path.stem}.rrd"
-        scans = view(path, layers, frames, file)
+        scans = view(path, layers, frames, against, file)
         data, page = _free_ports()
         tell(f"{scans} scans at http://{_HERE}:{page}?url=rerun%2Bhttp://{_HERE}:{data}/proxy until Ctrl-C")
         ports = ["--port", str(data), "--web-viewer-port", str(page)]
@@ -233,7 +260,7 @@ def _free_ports() -> list[int]:
         return [each.getsockname()[1] for each in (first, second)]
 
 
-def _log(rr: Any, scan: Scan, drive: Drive, palette: Palette) -> None:
+def _log(rr: Any, scan: Scan, errors: F64 | None, drive: Drive, palette: Palette) -> None:
     seconds = scan.time / 1e9
     rr.set_time("scan", sequence=drive.scans)
     if seconds > _MOST_SECONDS:
@@ -243,20 +270,21 @@ def _log(rr: Any, scan: Scan, drive: Drive, palette: Palette) -> None:
     pose = drive.at(scan)
     rr.log("sensor", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
     there = np.isfinite(scan.points).all(axis=1)
-    for name, colours in palette.of(scan).items():
+    for name, colours in palette.of(scan, errors).items():
         rr.log(
             f"sensor/{name}",
             rr.Points3D(scan.points[there], colors=colours[there], radii=rr.Radius.ui_points(1.2)),
         )
-    rr.log("name", rr.TextLog(f"{scan.name}: {len(scan):,} points"))
+    worst = "" if errors is None else f", largest error {1000 * errors.max(initial=0.0):.3g} mm"
+    rr.log("name", rr.TextLog(f"{scan.name}: {len(scan):,} points{worst}"))
 
 
-def _blueprint(colourings: list[str]) -> Any:
-    """One tab a colouring, all of the same place."""
+def _blueprint(titles: dict[str, str]) -> Any:
+    """One tab a colouring, under its title, all of the same place."""
     import rerun.blueprint as rrb
 
     views = [
-        rrb.Spatial3DView(origin="/", name=name, contents=["/path", "/sensor", f"/sensor/{name}"])
-        for name in colourings
+        rrb.Spatial3DView(origin="/", name=title, contents=["/path", "/sensor", f"/sensor/{name}"])
+        for name, title in titles.items()
     ]
     return rrb.Blueprint(rrb.Tabs(*views), rrb.TimePanel(state="collapsed"), collapse_panels=True)

@@ -31,6 +31,7 @@ ROOMS = (
     "pipeline.export",
     "pipeline.edit",
     "pipeline.find",
+    "pipeline.against",
     "pipeline.verify",
     "pipeline.checked",
     "pipeline.encode",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from salpcc.pipeline.cli.archives import Json, Path_
-from salpcc.pipeline.cli.run_options import parse_frames
+from salpcc.pipeline.cli.run_options import PLACE, parse_frames
 from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
@@ -190,6 +190,14 @@ def view(
     layers: Annotated[
         str, typer.Option(metavar="LAYERS", help="Which layers: all, static, or movable.")
     ] = "all",
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            parser=location,
+            metavar=PLACE,
+            help="Colour by error, too, measured from the source: the root of the data, or the log.",
+        ),
+    ] = None,
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser, until Ctrl-C.")] = False,
     save: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="Write it to a file that Rerun opens.")
@@ -202,7 +210,7 @@ def view(
     from salpcc.pipeline.view import view as view_scans
     from salpcc.pipeline.view import view_in_browser
 
-    chosen = cast("Layers", layers), parse_frames(frames)
+    chosen = cast("Layers", layers), parse_frames(frames), against
     if web:
         view_in_browser(path, *chosen, partial(STDERR.print, soft_wrap=True, markup=False, highlight=False))
         return

@@ -81,6 +81,9 @@ def test_colours_tell_what_is_known(archive: Path) -> None:
     labelled = replace(moving(0, None), labels=labels)
     assert Palette().of(labelled)["class"].tolist() == [list(CLASSES[c].colour) for c in (1, 9)]
     assert "class" not in Palette().of(replace(labelled, labels=labels + 9999))
+    off = palette.of(scans[0], np.linspace(0, 0.01, len(scans[0])))["error"].astype(int).sum(axis=1)
+    assert off[0] < off[len(off) // 2] < off[-1] and palette.title("error") == "error 0 to 9.8 mm"
+    assert palette.title("class") == "class"
     nothing = Palette().of(Scan("a", np.full((3, 3), np.nan, np.float32), np.zeros(3, np.float32)))
     assert set(nothing) == {"height", "intensity"} and nothing["height"].shape == (3, 3)
 
@@ -146,6 +149,12 @@ def test_view_on_the_command_line(archive: Path, tmp_path: Path) -> None:
     (tmp_path / "folder.rrd").mkdir()
     with pytest.raises(IsADirectoryError):
         view(archive, save=tmp_path / "folder.rrd")
+    code, said = command("view", archive, "--against", tmp_path, "--save", tmp_path / "b.rrd")
+    assert code == 1 and "made from arrays, there are no files to compare with" in said
+    code, said = command("view", tmp_path, "--against", tmp_path, "--save", tmp_path / "b.rrd")
+    assert code == 1 and "only an archive has a source" in said
+    code, said = command("view", tmp_path / "none", "--against", tmp_path, "--save", tmp_path / "b.rrd")
+    assert code == 1 and "not found" in said
     code, said = command("view", archive, "--layers", "moving", "--save", tmp_path / "b.rrd")
     assert code == 1 and "choose from" in said
 
