@@ -108,7 +108,9 @@ def map_(
     formats: Annotated[
         str,
         typer.Option(
-            metavar="NAME,NAME", help="What to write: tiles as laz, ply, pcd, and the whole as mcap."
+            metavar="NAME,NAME",
+            help="What to write: tiles as laz, copc (LAZ that viewers read in parts), ply, pcd, and the whole as mcap; "
+            "map.vpc is an index of LAZ tiles for QGIS and PDAL.",
         ),
     ] = "laz,ply,pcd,mcap",
     crs: Annotated[

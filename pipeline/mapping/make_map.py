@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from salpcc.pipeline.export.las import coordinate_system
 from salpcc.pipeline.mapping.map_explain import drop_older, keep
+from salpcc.pipeline.mapping.map_export import tile_file
 from salpcc.pipeline.mapping.map_frame import frame_of
 from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
 from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
@@ -187,7 +188,7 @@ def _finished(request: MapRequest, inputs: str) -> dict[str, Any] | None:
     except UsageError:
         return None
     files = [
-        request.out / "tiles" / f"{tile}.{form}"
+        tile_file(request.out, tile, form)
         for tile in summary.get("tiles", [])
         for form in request.formats
         if form != "mcap"

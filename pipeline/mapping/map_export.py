@@ -11,6 +11,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from salpcc.pipeline.export.copc import copc_of
 from salpcc.pipeline.export.las import coordinate_system, intensity_text, las_intensity, text_record
 from salpcc.pipeline.export.ply import write_ply
 from salpcc.pipeline.mapping.map_frame import Frame
@@ -45,10 +46,25 @@ def to_laz(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
     with_columns(voxels, corner, frame, path, {})
 
 
+def to_copc(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
+    """Write the same as :func:`to_laz`, as COPC."""
+    las = _las(voxels, corner, frame, {})
+    with atomic(path) as stream:
+        stream.write(copc_of(las))
+
+
 def with_columns(
     voxels: Voxels, corner: F64, frame: Frame, path: Path, columns: Mapping[str, NDArray[Any]], *texts: str
 ) -> None:
     """Write LAZ as :func:`to_laz` does, with more extra dimensions ``(M,)`` by name, and texts that say what they are."""
+    las = _las(voxels, corner, frame, columns, *texts)
+    with atomic(path) as stream:
+        las.write(stream, do_compress=True)
+
+
+def _las(
+    voxels: Voxels, corner: F64, frame: Frame, columns: Mapping[str, NDArray[Any]], *texts: str
+) -> laspy.LasData:
     origin, factor = np.array(frame.origin), frame.factor
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, LAZ_SCALE), np.floor(corner + origin)
@@ -69,8 +85,7 @@ def with_columns(
     las.count = voxels.count
     for name, values in columns.items():
         las[name] = values
-    with atomic(path) as stream:
-        las.write(stream, do_compress=True)
+    return las
 
 
 def to_ply(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
@@ -94,9 +109,19 @@ def to_pcd(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
         stream.write(header.encode() + rows.tobytes())
 
 
-# By suffix, without the dot; each takes a tile's entries, its corner, the map's frame and the path.
-WRITERS: dict[str, Callable[[Voxels, F64, Frame, Path], None]] = {"laz": to_laz, "ply": to_ply, "pcd": to_pcd}
+# Each takes a tile's entries, its corner, the map's frame and the path.
+WRITERS: dict[str, Callable[[Voxels, F64, Frame, Path], None]] = {
+    "laz": to_laz,
+    "copc": to_copc,
+    "ply": to_ply,
+    "pcd": to_pcd,
+}
 FORMATS = (*WRITERS, "mcap")
+
+
+def tile_file(out: Path, name: str, form: str) -> Path:
+    """Return the file of a tile in one of the formats of :data:`WRITERS`."""
+    return out / "tiles" / f"{name}.{'copc.laz' if form == 'copc' else form}"
 
 
 def to_mcap(tiles: Iterable[Voxels], frame: Frame, path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salpcc.pipeline.mapping.map_export import WRITERS
+from salpcc.pipeline.mapping.map_export import WRITERS, tile_file
 from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.mapping.map_store import (
     batch_to_entries,
@@ -107,7 +107,7 @@ def build_tile(
     figures = {f.name: facts[f.name] for f in fields(TileResult)[2:]}
     if facts["kept"] + facts["carved_or_dropped"] == 0:
         return TileResult(tile, None, **figures)
-    paths = [(form, out / "tiles" / f"{tile.name}.{form}") for form in formats if form in WRITERS]
+    paths = [(form, tile_file(out, tile.name, form)) for form in formats if form in WRITERS]
     stamp = stamp_of(out, tile)
     written = digest_of(digest, asdict(frame))
     fresh = stamp.is_file() and stamp.read_text() == written
@@ -144,7 +144,7 @@ def write_products(
     """Write what is in the map of a tile of ``size`` metres, in those of the formats that have a file a tile."""
     for form in formats:
         if form in WRITERS:
-            path = out / "tiles" / f"{tile.name}.{form}"
+            path = tile_file(out, tile.name, form)
             WRITERS[form](built.voxels[built.against == 0], tile.corner(size), frame, path)
 
 

@@ -11,8 +11,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.pipeline.mapping.map_explain import clear_explained, explain
-from salpcc.pipeline.mapping.map_export import to_mcap
+from salpcc.pipeline.mapping.map_export import tile_file, to_mcap
 from salpcc.pipeline.mapping.map_frame import Frame
+from salpcc.pipeline.mapping.map_index import INDEX, write_index
 from salpcc.pipeline.mapping.map_plan import F64, MapPlan
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
@@ -63,11 +64,17 @@ def read_track(out: Path, frame: Frame) -> F64:
 
 
 def write_whole(out: Path, whole: Whole, store: ShardStore, tiles: Sequence[TileResult], scans: F64) -> None:
-    """Write what is one for the whole map: the MCAP, what was removed, pictures; ``scans`` as in :func:`write_track`."""
+    """Write what is one for the whole map: the MCAP, the index of its tiles, what was removed, pictures; ``scans`` as in :func:`write_track`."""
     if "mcap" in whole.formats:
         to_mcap(_kept(store, tiles), whole.frame, out / "map.mcap")
     else:
         (out / "map.mcap").unlink(missing_ok=True)
+    indexed = next((form for form in ("copc", "laz") if form in whole.formats), None)
+    if indexed is not None:
+        files = [tile_file(out, tile.tile.name, indexed) for tile in tiles if tile.kept]
+        write_index(out, files, whole.frame.crs)
+    else:
+        (out / INDEX).unlink(missing_ok=True)
     if whole.explained:
         explain(out, store, tiles, whole.size, whole.frame)
     else:
@@ -120,7 +127,8 @@ def _captioned(whole: Whole, drawn: dict[str, bytes]) -> list[dict[str, object]]
 
 def clear(request: MapRequest, names: set[str]) -> None:
     """Delete tiles of an older map in the same folder."""
-    wanted = {f"{name}.{form}" for name in names for form in request.formats} | {f".{n}" for n in names}
+    wanted = {tile_file(request.out, name, form).name for name in names for form in request.formats}
+    wanted |= {f".{name}" for name in names}
     for path in (request.out / "tiles").glob("*"):
         if path.name not in wanted:
             path.unlink()
