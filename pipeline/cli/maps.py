@@ -135,7 +135,7 @@ def map_(
         Path | None, typer.Option(help="Score the map by the labels of the data that lie here.")
     ] = None,
     rivals: Annotated[
-        str, typer.Option(metavar="NAME", help="Score a public cleaner of maps, too: dufomap.")
+        str, typer.Option(metavar="NAME,NAME", help="Score public cleaners of maps, too: dufomap, octomap.")
     ] = "none",
     workers: Workers = None,
     scheduler: Scheduler = None,

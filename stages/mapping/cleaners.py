@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import UsageError
+from salpcc.stages.mapping.poses import move
 
 Placed = tuple[NDArray[np.float32], NDArray[np.float64]]
 Masks = list[NDArray[np.bool_]]
 
 # Duberg et al., DUFOMap, IEEE RA-L 2024: its own settings for a 64-beam sensor.
 _DUFO_VOXEL, _DUFO_HIT, _DUFO_UNKNOWN = 0.1, 0.2, 2
+# Hornung et al., OctoMap, Autonomous Robots 2013; all else is its default.
+_OCTO_VOXEL, _OCCUPIED = 0.1, 1
 
 
 def _dufomap(scans: Sequence[Placed]) -> Masks:
@@ -34,7 +37,18 @@ def _dufomap(scans: Sequence[Placed]) -> Masks:
     ]
 
 
-CLEANERS: Mapping[str, Callable[[Sequence[Placed]], Masks]] = {"dufomap": _dufomap}
+def _octomap(scans: Sequence[Placed]) -> Masks:
+    """OctoMap: dynamic is what lies where more rays passed than ended, each weighed as its authors do."""
+    from octomap import OcTree
+
+    tree = OcTree(_OCTO_VOXEL)
+    for points, pose in scans:
+        tree.insertPointCloud(move(points, pose), pose[:3, 3].copy(), lazy_eval=True)
+    tree.updateInnerOccupancy()
+    return [np.asarray(tree.getLabels(move(points, pose))).ravel() == _OCCUPIED for points, pose in scans]
+
+
+CLEANERS: Mapping[str, Callable[[Sequence[Placed]], Masks]] = {"dufomap": _dufomap, "octomap": _octomap}
 
 
 def cleaner(name: str) -> Callable[[Sequence[Placed]], Masks]:
