@@ -34,7 +34,7 @@ class Source:
         facts = reader.facts
         if facts.source not in SOURCES:
             raise UsageError(f"{reader.path}: made from {facts.source}, there are no files to compare with")
-        if not (root.is_dir() or (reader.log and root.exists())):
+        if not SOURCES[facts.source].there(root):
             raise UsageError(missing_root(root, facts.source))
         self._files = SOURCES[facts.source]
         self.root = root

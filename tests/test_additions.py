@@ -23,9 +23,10 @@ from salpcc.stages.evaluate.baselines.baseline import Baseline, Promise
 from salpcc.stages.evaluate.report.layout import report_tables
 from salpcc.stages.evaluate.report.layout.tables import Column, Table
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.ingest.sources.files import Files
 
 
-class Texts:
+class Texts(Files):
     """A source: scans as lines of text."""
 
     name = "texts"

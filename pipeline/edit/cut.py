@@ -14,10 +14,10 @@ from salpcc.pipeline.decode import decoded_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.files import is_url
 from salpcc.schemas.log import LogMessage
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import ScanPayload, frame_number
-from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_any, encode_gop, encode_movable

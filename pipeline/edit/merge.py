@@ -10,8 +10,8 @@ from pathlib import Path
 from salpcc.pipeline.edit.cut import Counts, check_new, taken
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.log import LogChannel, LogMessage, known_as
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.stages.residual_code.archive.format import ScanPayload
-from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive

@@ -20,6 +20,7 @@ from salpcc.pipeline.held_poses import unpacked_poses
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, MOVABLE, known_classes
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.schemas.version import TOOL
@@ -28,7 +29,6 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.mapping.poses import move, poses_of, read_poses
 from salpcc.stages.residual_code.archive.format import ScanEntry, ScanPayload, frame_number
-from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import decode_gop, encode_movable

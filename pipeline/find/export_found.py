@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from salpcc.pipeline.edit.cut import Counts, check_new, write_part
 from salpcc.pipeline.edit.merge import merge
 from salpcc.schemas.errors import UsageError
-from salpcc.stages.residual_code.archive.passing import PassingLog
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from salpcc.pipeline.decode import decode_scans
 from salpcc.pipeline.encode import payloads_of
 from salpcc.pipeline.graph.tasks import GopResult, lost
-from salpcc.pipeline.plan.digests import digest_scan
 from salpcc.pipeline.plan.held import held_scans
-from salpcc.pipeline.plan.logs import passing_log
 from salpcc.pipeline.plan.plan import SequencePlan
 from salpcc.pipeline.plan.records import write_record
 from salpcc.pipeline.plan.side_files import side_files, unfit_labels
@@ -34,7 +32,6 @@ from salpcc.stages.evaluate.baselines import measure_baseline as measure
 from salpcc.stages.evaluate.baselines.apart import measure_scans
 from salpcc.stages.evaluate.report.baseline_figures import OURS
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.ingest.sources.bag import clouds_of
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
@@ -53,8 +50,8 @@ def archive_path(out: Path, sequence: str) -> Path:
 def inputs_digest(plan: SequencePlan, results: list[GopResult], config: RunConfig) -> str:
     """Digest what an archive is made of; ``results`` are those of :func:`source_digest`, or of later stages, by GOP."""
     source = plan.gops[0].source
-    # Of a log, the frames decide what passes through, too, also where they are all there are.
-    frames = [config.frames] if config.frames and plan.gops[0].scans[0].topic else []
+    # The frames decide what passes through, too, also where they are all there are.
+    frames = [config.frames] if config.frames and SOURCES[source].passes else []
     side = [[[ref.name, ref.digest] for ref in plan.side]] if plan.side else []
     return digest_of(
         plan.sequence, source, config.digest, [result.origin for result in results], *frames, *side
@@ -94,10 +91,11 @@ def finish(
     came = plan.n_scans - len(failed)
     if not came or (failed and came < len(held_scans(archive_path(out, plan.sequence)))):
         return None
+    source, refs = SOURCES[plan.gops[0].source], [ref for gop in plan.gops for ref in gop.scans]
     record: dict[str, Any] = {
         "inputs": inputs_digest(plan, results, config),
         "files": known_files(plan, results),
-        "places": {} if config.frames else clouds_of(ref for gop in plan.gops for ref in gop.scans),
+        "places": {} if config.frames else source.places(refs),
         "errors": [],
         "times": [],
         "peak_mb": 0.0,
@@ -110,12 +108,12 @@ def finish(
         record["times"] += [[gop.number, *row] for row in facts["times"]]
         record["peak_mb"] = max(record["peak_mb"], facts["peak_mb"])
     write_record(record, out, plan.sequence)
-    log = passing_log(plan, {error["scan"] for error in record["errors"]}, config)
+    log = source.passing(refs, {error["scan"] for error in record["errors"]}, config.frames)
     # Whoever compares the archive of a log with it must know what was left out.
     of_log = {"frames": list(config.frames)} if log and config.frames else {}
     facts_ = ArchiveFacts(
         plan.sequence,
-        plan.gops[0].source,
+        source.name,
         record["inputs"],
         config.coding | of_log,
         load_sensor(config.sensor),
@@ -275,7 +273,7 @@ def baseline_gop(name: str, gop: GopSource, out: Path, redo: bool) -> GopResult:
     lacks its program or package is asked again by the next run.
     """
     store = ShardStore(out)
-    scans = [[ref.name, digest_scan(ref, with_labels=False)[0][0]] for ref in gop.scans]
+    scans = [[ref.name, *SOURCES[gop.source].digest(ref, with_labels=False)[0]] for ref in gop.scans]
     more: list[Any] = (
         [{stage.name: stage.version for stage in STAGES.values()}] if name == OURS else []
     )  # our own codec changes

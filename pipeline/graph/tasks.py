@@ -12,7 +12,6 @@ from typing import Any
 
 import pyarrow as pa
 
-from salpcc.pipeline.plan.digests import digest_scan
 from salpcc.pipeline.schedule.isolate import only, run_isolated
 from salpcc.pipeline.schedule.machine import peak_mb
 from salpcc.pipeline.schedule.store import ShardStore
@@ -22,6 +21,7 @@ from salpcc.schemas.files import unreachable
 from salpcc.schemas.shards import facts_of
 from salpcc.schemas.work import GopSource, Known, ScanError, ShardRef, digest_of
 from salpcc.stages.coding import STAGES
+from salpcc.stages.ingest.sources import SOURCES
 
 _warm: set[str] = set()
 
@@ -47,10 +47,7 @@ def source_digest(gop: GopSource, config: RunConfig) -> GopResult:
     parts: list[Any] = [config.digest, {stage.name: stage.version for stage in STAGES.values()}]
     learned: Known = {}
     for ref in gop.scans:
-        if ref.topic:
-            parts.append([ref.name, ref.number, ref.time, ref.topic, ref.at, ref.digest])
-            continue
-        digests, more = digest_scan(ref, config.reads_labels(ref))
+        digests, more = SOURCES[gop.source].digest(ref, config.reads_labels(ref))
         parts.append([ref.name, ref.number, ref.time, *digests])
         learned |= more
     digest = digest_of(*parts)

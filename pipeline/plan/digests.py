@@ -12,20 +12,19 @@ from __future__ import annotations
 import hashlib
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 from salpcc.pipeline.plan.plan import SequencePlan
 from salpcc.pipeline.plan.side_files import read_side
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import LogWarning
-from salpcc.schemas.files import location, reading, unreachable
-from salpcc.schemas.marks import at_rest, mark, marks
+from salpcc.schemas.files import location
+from salpcc.schemas.marks import at_rest, marks
 from salpcc.schemas.work import GopSource, Known, ScanRef
-from salpcc.stages.ingest.sources.bag import digest_log, log_files, log_mark
+from salpcc.stages.ingest.sources import SOURCES
 
 
 def recall(plan: SequencePlan, known: Known, config: RunConfig) -> SequencePlan:
-    """Fill in the digests that are on record and hold; that of a log, which all its messages share, in any case.
+    """Fill in the digests that are on record and hold, and those of what all scans share.
 
     Args:
         known: by name of a file, the mark and digest on record.
@@ -38,18 +37,7 @@ def recall(plan: SequencePlan, known: Known, config: RunConfig) -> SequencePlan:
     """
     plan = _recall_side(plan, known)
     refs = [ref for gop in plan.gops for ref in gop.scans]
-    if refs[0].topic:
-        holds = _of_log(location(refs[0].path), known)
-        digests = {refs[0].path: holds[1]}
-        still = {Path(refs[0].path).name: holds} if holds[0] else {}
-    elif known:
-        labels = {ref.labels for ref in refs if ref.labels and config.reads_labels(ref)}
-        paths = [location(name) for name in sorted({ref.path for ref in refs} | labels)]
-        found = {path: now for path, now in marks(paths).items() if known.get(path.name, ("", ""))[0] == now}
-        digests = {str(path): known[path.name][1] for path in found}
-        still = {path.name: known[path.name] for path in found}
-    else:
-        return plan
+    digests, still = SOURCES[plan.gops[0].source].recall(refs, known, config)
 
     def told(ref: ScanRef) -> ScanRef:
         labels_digest = digests.get(ref.labels or "", "")
@@ -85,37 +73,3 @@ def all_known(gop: GopSource, config: RunConfig) -> bool:
         ref.digest and (ref.labels_digest or not (ref.labels and config.reads_labels(ref)))
         for ref in gop.scans
     )
-
-
-def digest_scan(ref: ScanRef, with_labels: bool) -> tuple[list[str], Known]:
-    """SHA-256 of the files of a scan, each read if it is not known; and what was learned by that."""
-    digests, learned = [], {}
-    for path, known in ((ref.path, ref.digest), (ref.labels, ref.labels_digest))[: 2 if with_labels else 1]:
-        if path is None or known:
-            digests.append(known or "absent")
-            continue
-        now, digest = _read(location(path))
-        digests.append(digest)
-        if now:
-            learned[Path(path).name] = now, digest
-    return digests, learned
-
-
-def _read(path: Path) -> tuple[str, str]:
-    """The mark of a file, empty where it is not to be relied on, and its SHA-256, or a word for why there is none."""
-    try:
-        now = mark(path) if at_rest(path) else ""
-        with reading(path) as stream:
-            return now, hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:  # it will fail in ingest too, and be done again once it is readable
-        if unreachable(error):
-            raise
-        return "", f"unreadable: {error.errno}"
-
-
-def _of_log(path: Path, known: Known) -> tuple[str, str]:
-    now = log_mark(path)
-    if known.get(path.name, ("", ""))[0] == now:
-        return known[path.name]
-    rests = all(at_rest(file) for file in log_files(path))
-    return now if rests else "", digest_log(path)

@@ -1,60 +1,18 @@
-"""What of a log its archive holds besides the coded scans, and whether that is all the log holds."""
+"""Whether what passed through into an archive is all that its log holds besides the coded scans."""
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator
 from itertools import zip_longest
 from pathlib import Path
 
-from salpcc.pipeline.plan.plan import SequencePlan
-from salpcc.schemas.config import RunConfig
-from salpcc.schemas.errors import ArchiveError, SourceError
-from salpcc.schemas.files import location
+from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.stages.ingest.sources.bag import count_log, differences, find_log, open_log
-from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 Identity = tuple[tuple[object, ...], int, int, int, bytes]
-
-
-def passing_log(plan: SequencePlan, failed: set[str], config: RunConfig) -> PassingLog | None:
-    """Return what passes through from the log of a sequence; None where it was no log.
-
-    That is all messages of other topics, the clouds that could not be coded (``failed``, by scan name), attachments
-    and metadata.
-    With ``--frames`` it is what lies between the first and the last scan; without, whoever takes the last message
-    learns whether any is missing.
-
-    Raises:
-        SourceError: the log cannot be read, or what is coded and what passes through are not all that is counted.
-    """
-    refs = [ref for gop in plan.gops for ref in gop.scans]
-    if not refs or not refs[0].topic:
-        return None
-    path = location(refs[0].path)
-    log = open_log(path)
-    topics = {ref.topic for ref in refs}
-    coded = Counter(ref.topic for ref in refs if ref.name not in failed)
-    lost = {ref.at for ref in refs if ref.name in failed}
-    first, last = min(ref.time for ref in refs), max(ref.time for ref in refs)
-
-    def messages() -> Iterator[LogMessage]:
-        kept = Counter(coded)
-        for message in log.messages():
-            channel = log.channels[message.channel]
-            of_topics = channel.holds_clouds and channel.topic in topics
-            if of_topics and message.at not in lost:
-                continue
-            if of_topics or config.frames is None or first <= message.log_time <= last:
-                kept[channel.topic] += 1
-                yield message
-        if config.frames is None and (missing := differences(kept, count_log(path), "to keep")):
-            raise SourceError(f"{path}: {missing[0]}; no archive is made of it")
-
-    return PassingLog(log.channels.values(), messages(), log.enclosed())
 
 
 def compare_log(reader: ArchiveReader, root: Path, coded: Counter[str], whole: bool) -> tuple[int, list[str]]:

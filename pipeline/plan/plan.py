@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from salpcc.pipeline.plan.records import recorded
@@ -12,7 +12,6 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.schemas.work import GopSource, Known, ScanError, ScanRef, SideRef
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.ingest.sources.bag import Bag, find_log, log_mark
 
 
 @dataclass(frozen=True)
@@ -43,13 +42,14 @@ def plan_run(
     source = SOURCES[config.source]
     with suppress(FileNotFoundError):
         root.stat()  # where a URL cannot be reached, this says so; is_dir() would only deny
-    if not (root.is_dir() or (config.source == "bag" and root.exists())):
+    if not source.there(root):
         raise UsageError(missing_root(root, config.source))
     plans: list[SequencePlan] = []
     missing: list[ScanError] = []
     for sequence in sequences:
         try:
-            listed = _scans(root, sequence, config, out)
+            record = recorded(out, sequence) if out else {}
+            listed = source.asked(root, sequence, config, record)
             refs = select(listed, config.frames)
             if not listed:
                 raise SourceError(f"{root}: sequence {sequence} has no scans")
@@ -64,7 +64,7 @@ def plan_run(
             continue
         side = list_side(config.source, root, sequence, listed) if config.side_files else ()
         plans.append(SequencePlan(sequence, cut(config.source, sequence, refs, config.gop), side=side))
-    if not plans and config.source == "bag":
+    if not plans and source.passes:  # it is named by its file
         raise UsageError(missing[0].reason)
     if not plans:
         known = ", ".join(source.sequences(root)) or "none"
@@ -72,16 +72,6 @@ def plan_run(
             f"{missing[0].reason} (sequences there: {known}; to try without data: --source simulated)"
         )
     return plans, missing
-
-
-def _scans(root: Path, sequence: str, config: RunConfig, out: Path | None) -> list[ScanRef]:
-    if config.source != Bag.name:
-        refs = SOURCES[config.source].scans(root, sequence)
-        return [replace(ref, columns=config.columns) for ref in refs]
-    record = recorded(out, sequence) if out else {}
-    log = find_log(root, sequence)
-    same = log_mark(log) == record.get("files", {}).get(log.name, ("",))[0]
-    return Bag().scans(root, sequence, config.topics, record.get("places") if same else None)
 
 
 def missing_root(root: Path, source: str) -> str:

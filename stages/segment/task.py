@@ -54,24 +54,24 @@ def keep(
     """
     on, off = places or source_places(sweep, sensor)
     stays = np.zeros(len(sweep), np.bool_)
-    kept, stray_kept = np.flatnonzero(kept), np.flatnonzero(stray_kept)
-    stays[on[kept]] = True
-    stays[off[stray_kept]] = True
+    here, astray = np.flatnonzero(kept), np.flatnonzero(stray_kept)
+    stays[on[here]] = True
+    stays[off[astray]] = True
     return replace(
         sweep,
-        laser=sweep.laser[kept],
-        tick=sweep.tick[kept],
-        count=sweep.count[kept],
-        intensity=sweep.intensity[kept],
-        millimetre=sweep.millimetre[kept],
-        ulp=sweep.ulp[kept],
-        classes=None if sweep.classes is None else sweep.classes[kept],
-        stray_index=(np.cumsum(stays) - 1)[off[stray_kept]],
-        stray_points=sweep.stray_points[stray_kept],
-        stray_classes=None if sweep.stray_classes is None else sweep.stray_classes[stray_kept],
+        laser=sweep.laser[here],
+        tick=sweep.tick[here],
+        count=sweep.count[here],
+        intensity=sweep.intensity[here],
+        millimetre=sweep.millimetre[here],
+        ulp=sweep.ulp[here],
+        classes=None if sweep.classes is None else sweep.classes[here],
+        stray_index=(np.cumsum(stays) - 1)[off[astray]],
+        stray_points=sweep.stray_points[astray],
+        stray_classes=None if sweep.stray_classes is None else sweep.stray_classes[astray],
         cloud=sweep.cloud and sweep.cloud.keep(stays),
-        labels=None if sweep.labels is None else sweep.labels[kept],
-        stray_labels=None if sweep.stray_labels is None else sweep.stray_labels[stray_kept],
+        labels=None if sweep.labels is None else sweep.labels[here],
+        stray_labels=None if sweep.stray_labels is None else sweep.stray_labels[astray],
     )
 
 

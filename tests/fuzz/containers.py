@@ -16,11 +16,11 @@ from salpcc.pipeline.edit.recover import recover
 from salpcc.pipeline.schedule.store import ShardStore, read_shard
 from salpcc.schemas.errors import SalpccError
 from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps
 from salpcc.schemas.work import ShardRef
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
-from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive

@@ -20,11 +20,11 @@ from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.export.log import messages
 from salpcc.schemas.log import LogChannel, LogMessage
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.stages.ingest.point_cloud import message_to_scan
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
-from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.writer import write_archive
 from salpcc.stages.residual_code.gop import encode_gop
 

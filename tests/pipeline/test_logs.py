@@ -22,13 +22,13 @@ from salpcc.pipeline import Archive
 from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph.graph import GraphOptions
-from salpcc.pipeline.plan import digests
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.sensors.calibration import calibrate_log
 from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError
+from salpcc.stages.ingest.sources import bag as bag_module
 from salpcc.stages.ingest.sources.bag import Bag, digest_log, find_log, open_log
 from salpcc.stages.ingest.sources.mcap_log import McapLog
 from salpcc.stages.lattice.lattice import unproject
@@ -346,7 +346,7 @@ def test_a_second_run_goes_through_no_log(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read: list[Path] = []
-    monkeypatch.setattr(digests, "digest_log", lambda path: read.append(path) or digest_log(path))
+    monkeypatch.setattr(bag_module, "digest_log", lambda path: read.append(path) or digest_log(path))
     monkeypatch.setattr(marks, "_REST", 0)
     went, walk = [], McapLog.messages
     monkeypatch.setattr(McapLog, "messages", lambda log, *wanted: went.append(1) or walk(log, *wanted))

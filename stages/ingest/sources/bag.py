@@ -6,22 +6,26 @@ import hashlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.cloud_layout import LayoutError
+from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import LogWarning, SourceError
 from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import is_url, location, reading, why
-from salpcc.schemas.log import Log, LogChannel, LogMetadata
-from salpcc.schemas.marks import mark
+from salpcc.schemas.log import Log, LogChannel, LogMessage, LogMetadata
+from salpcc.schemas.marks import at_rest, mark
 from salpcc.schemas.messages import COMPRESSED
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.work import ScanRef
+from salpcc.schemas.work import Known, ScanRef
 from salpcc.stages.ingest.point_cloud import message_to_scan
+from salpcc.stages.ingest.sources.base import Source
 from salpcc.stages.ingest.sources.count import count_messages
 from salpcc.stages.ingest.sources.mcap_log import McapLog
 from salpcc.stages.ingest.sources.ros1_log import Ros1Log
@@ -35,10 +39,11 @@ _SHOWN = 8  # topics in a message
 _STORAGE = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
 
 
-class Bag:
+class Bag(Source):
     """Point clouds (``sensor_msgs/PointCloud2``) of recorded logs, one topic or several."""
 
     name = "bag"
+    passes = True
     hint = "Any log with sensor_msgs/PointCloud2: NAME.mcap, a ROS 1 NAME.bag, a ROS 2 bag folder or one NAME.db3 of it"
 
     def sequences(self, root: Path) -> list[str]:
@@ -56,7 +61,7 @@ class Bag:
         """List the clouds of a log by topic and time; ``topics``: of these only.
 
         With one topic a scan is named by its number, with more by its topic, too. ``listed`` is what
-        :func:`clouds_of` said of this very log; where it has the same topics, the log is not gone through again.
+        :meth:`places` said of this very log; where it has the same topics, the log is not gone through again.
         Else it is, and what is read of each topic is compared with :func:`~.count.count_messages`.
 
         Raises:
@@ -113,6 +118,71 @@ class Bag:
         if scan.cloud is None or len(channels_of(scan.cloud, log.channels)) == 1:
             return scan
         return replace(scan, cloud=replace(scan.cloud, channel=channel.id))
+
+    def there(self, root: Path) -> bool:
+        """Tell whether ``root`` is a folder of logs, or a log."""
+        return root.exists()
+
+    def asked(self, root: Path, sequence: str, config: RunConfig, record: dict[str, Any]) -> list[ScanRef]:
+        """List the clouds of the topics asked for; a log that has not changed since ``record`` is not gone through again."""
+        path = find_log(root, sequence)
+        same = log_mark(path) == record.get("files", {}).get(path.name, ("",))[0]
+        return self.scans(root, sequence, config.topics, record.get("places") if same else None)
+
+    def places(self, refs: Sequence[ScanRef]) -> Clouds:
+        """Say by topic where the clouds of a log are."""
+        found: Clouds = {}
+        for ref in refs:
+            found.setdefault(ref.topic, []).append((ref.time, ref.at))
+        return found
+
+    def recall(
+        self, refs: Sequence[ScanRef], known: Known, config: RunConfig
+    ) -> tuple[dict[str, str], Known]:
+        """Return the digest of the log, which all its clouds share; it is read where the one on record does not hold."""
+        path = location(refs[0].path)
+        now = log_mark(path)
+        holds = known.get(path.name, ("", ""))
+        if holds[0] != now:
+            rests = all(at_rest(file) for file in log_files(path))
+            holds = now if rests else "", digest_log(path)
+        return {refs[0].path: holds[1]}, {path.name: holds} if holds[0] else {}
+
+    def digest(self, ref: ScanRef, with_labels: bool) -> tuple[list[Any], Known]:
+        """Return topic and place of a cloud, and the digest of its log, that :meth:`recall` told."""
+        return [ref.topic, ref.at, ref.digest], {}
+
+    def passing(
+        self, refs: Sequence[ScanRef], failed: Collection[str], frames: tuple[int, int] | None
+    ) -> PassingLog:
+        """Return all messages of other topics, the clouds that could not be coded, attachments and metadata.
+
+        Without ``frames``, whoever takes the last message learns whether any is missing.
+
+        Raises:
+            SourceError: the log cannot be read, or what is coded and what passes through are not all that is counted.
+        """
+        path = location(refs[0].path)
+        log = open_log(path)
+        topics = {ref.topic for ref in refs}
+        coded = Counter(ref.topic for ref in refs if ref.name not in failed)
+        lost = {ref.at for ref in refs if ref.name in failed}
+        first, last = min(ref.time for ref in refs), max(ref.time for ref in refs)
+
+        def messages() -> Iterator[LogMessage]:
+            kept = Counter(coded)
+            for message in log.messages():
+                channel = log.channels[message.channel]
+                of_topics = channel.holds_clouds and channel.topic in topics
+                if of_topics and message.at not in lost:
+                    continue
+                if of_topics or frames is None or first <= message.log_time <= last:
+                    kept[channel.topic] += 1
+                    yield message
+            if frames is None and (missing := differences(kept, count_log(path), "to keep")):
+                raise SourceError(f"{path}: {missing[0]}; no archive is made of it")
+
+        return PassingLog(log.channels.values(), messages(), log.enclosed())
 
 
 def _check_clouds(path: Path, log: Log, there: list[str], missing: list[str]) -> None:
@@ -178,15 +248,6 @@ def caveats(path: Path, log: Log, counted: Counter[str]) -> list[str]:
                 f"stays behind: the QoS that {METADATA} gives {channel.topic}; the one in the file is kept"
             )
     return list(dict.fromkeys(lines))
-
-
-def clouds_of(refs: Iterable[ScanRef]) -> Clouds:
-    """Say by topic where the clouds of a log are; nothing of scans that are files."""
-    found: Clouds = {}
-    for ref in refs:
-        if ref.topic:
-            found.setdefault(ref.topic, []).append((ref.time, ref.at))
-    return found
 
 
 def open_log(path: Path) -> Log:

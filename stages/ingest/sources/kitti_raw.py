@@ -8,11 +8,12 @@ from pathlib import Path
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
+from salpcc.stages.ingest.sources.files import Files
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
 from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_scan, scan_files
 
 
-class KittiRaw:
+class KittiRaw(Files):
     """Uncompensated scans; the sequence is named by the folder of the drive."""
 
     name = "kitti_raw"

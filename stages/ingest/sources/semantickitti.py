@@ -13,12 +13,13 @@ from salpcc.schemas.errors import SourceError
 from salpcc.schemas.labels import classes_of_labels
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
+from salpcc.stages.ingest.sources.files import Files
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
 from salpcc.stages.ingest.sources.label_files import label_file, labels_that_fit
 from salpcc.stages.ingest.sources.velodyne_bin import list_scans, read_scan
 
 
-class SemanticKitti:
+class SemanticKitti(Files):
     """Motion-compensated scans of 22 sequences, labels for 00 to 10."""
 
     name = "semantickitti"

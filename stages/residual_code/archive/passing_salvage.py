@@ -15,8 +15,8 @@ from mcap.records import Channel, Schema
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, decompress, records, stream
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.stages.residual_code.archive.passing import (
-    PassingLog,
     passing_channel,
     passing_messages,
     read_passing_enclosed,

@@ -17,6 +17,7 @@ from mcap.records import Metadata
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location, mapped, why
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
 from salpcc.stages.residual_code.archive.format import (
@@ -39,7 +40,6 @@ from salpcc.stages.residual_code.archive.fragments import (
     chunks,
     clouds,
 )
-from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.passing_salvage import passing_log
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.side_salvage import side_files

@@ -39,6 +39,7 @@ from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import CLASSES, GROUPS
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.messages import COMPRESSED, LABEL, SCHEMA_TEXT, CloudMessage
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
     LIBRARY,
@@ -52,7 +53,6 @@ from salpcc.stages.residual_code.archive.format import (
     sequence_number,
 )
 from salpcc.stages.residual_code.archive.passing import (
-    PassingLog,
     passing_chunk,
     passing_enclosed,
     passing_records,

@@ -15,10 +15,10 @@ from salpcc.pipeline.edit.recover import Recovery, recover
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.log import LogAttachment, LogChannel, LogMessage, LogMetadata
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.archive import format as archive_format
-from salpcc.stages.residual_code.archive.passing import PassingLog
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import ArchiveWriter, write_archive
 

@@ -13,6 +13,7 @@ from salpcc.pipeline.plan import digests
 from salpcc.pipeline.run import RunResult
 from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
+from salpcc.stages.ingest.sources import files
 
 OVERWRITE = GraphOptions(overwrite=True)
 Run = Callable[..., RunResult]
@@ -22,8 +23,8 @@ Run = Callable[..., RunResult]
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the files that are read for their digests; all files are taken for old ones."""
     read: list[str] = []
-    reading = digests.reading
-    monkeypatch.setattr(digests, "reading", lambda path: read.append(path.name) or reading(path))
+    reading = files.reading
+    monkeypatch.setattr(files, "reading", lambda path: read.append(path.name) or reading(path))
     read_side = digests.read_side
     monkeypatch.setattr(digests, "read_side", lambda ref: read.append(ref.name) or read_side(ref))
     monkeypatch.setattr(marks, "_REST", 0)

@@ -1,5 +1,6 @@
 """What every source promises, on each of them."""
 
+import hashlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -7,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from salpcc.schemas import marks
+from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources import SOURCES
@@ -102,3 +105,24 @@ def test_labels_asked_for_but_absent_are_refused(case: Case) -> None:
     ref = ScanRef("000000", 0, str(folder / "000000.bin"), 0, None)
     with pytest.raises(SourceError, match="--labels network"):
         SOURCES[name].read(ref, with_labels=True)
+
+
+def test_digests_hold_until_a_file_changes(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    name, root, sequence, folder = case
+    monkeypatch.setattr(marks, "_REST", 0)  # as if the files were old
+    source, config = SOURCES[name], RunConfig(source=name)  # type: ignore[arg-type]
+    refs = source.asked(root, sequence, config, {})
+    told, known = source.digest(refs[0], with_labels=False)
+    assert told == [hashlib.sha256((folder / "000000.bin").read_bytes()).hexdigest()]
+    assert source.recall(refs, known, config) == ({refs[0].path: told[0]}, known)
+    assert source.recall(refs, {}, config) == ({}, {})
+    (folder / "000000.bin").write_bytes(b"")
+    assert source.recall(refs, known, config) == ({}, {})
+
+
+def test_nothing_passes_through_beside_files(case: Case) -> None:
+    name, root, sequence, _ = case
+    source = SOURCES[name]
+    assert source.there(root) and not source.there(root / "nowhere") and not source.passes
+    refs = source.scans(root, sequence)
+    assert source.passing(refs, (), None) is None and source.places(refs) == {}
