@@ -147,6 +147,7 @@ def _summary(
         "scans": plan.n_scans,
         "poses": plan.poses,
         "pose_fit": asdict(found.check),
+        "scans_moved_already": found.moved_already,
         "pose_check": [asdict(a) for a in found.agreements],
         "config": request.config.model_dump(mode="json"),
         "points_in": sum(s.points for s in submaps),

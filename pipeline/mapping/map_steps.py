@@ -51,6 +51,10 @@ def track_all(client: Client, plan: MapPlan, request: MapRequest, report: Report
     [(_, ref)] = each(client, track, [whole], ["track"])
     found = read_track(request.out, ref)
     _refuse_foreign(plan, found.agreements)
+    if found.moved_already:
+        report.say(
+            "scans: they fit one another better as they are than de-skewed, so their driver moved them already"
+        )
     if found.agreements:
         report.say(told(found.check))
     return found, sum(p.cpu_ms for p in ordered) + found.cpu_ms

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from functools import lru_cache
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +23,13 @@ from salpcc.stages.mapping.agree import Agreement, agreement
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.deskew import motions_of, turns_before
 from salpcc.stages.mapping.gather import standing
+from salpcc.stages.mapping.moved_already import moved_already, still
 from salpcc.stages.mapping.odometry import Registered, Thinned, follow, thin
 from salpcc.stages.mapping.refine import PoseCheck, candidates, choose, residual, spots_of
 
 F64 = NDArray[np.float64]
 
-VERSION = 1
+VERSION = 2  # 2: scans that were moved already are left alone
 _THINNED = pa.schema([*((name, pa.float32()) for name in ("x", "y", "z", "before"))])
 _TRACK = pa.schema([("pose", pa.list_(pa.float64())), ("motion", pa.list_(pa.float64()))])
 _GROUPS_HELD = 8  # of thinned scans, while a residual is measured
@@ -52,12 +53,14 @@ class Track:
         motions: ``(n, 6)`` by which each is de-skewed; zeros where it was compensated.
         check: how well given poses fit, and the ones here.
         agreements: of given poses with registration, a group each; none without given poses.
+        moved_already: whether scans that tell no motion turned out to be compensated all the same.
     """
 
     poses: F64
     motions: F64
     check: PoseCheck
     agreements: tuple[Agreement, ...]
+    moved_already: bool
     cpu_ms: float
 
     def of(self, scans: slice | NDArray[np.intp]) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -126,15 +129,21 @@ def track(groups: Sequence[Group], prepared: Sequence[Prepared], refine: bool, o
         cloud for group, p in zip(groups, prepared, strict=True) for cloud in _headings(group, p, store)
     ]
     found = list(follow((read(store) for read in clouds), given))
+    reads = [partial(cloud, store) for cloud in clouds]
+    moved = moved_already(reads, found, [cloud.number for cloud in clouds])
+    if moved:
+        clouds = [replace(cloud, still=True) for cloud in clouds]
+        found = list(follow((read(store) for read in clouds), given))
     if given is None:
         _refuse_gaps(groups, found)
     poses, motions, check, agreements = _settled(store, groups, clouds, found, given, refine)
-    compensated = [cloud.motion is not None for cloud in clouds]
+    compensated = [cloud.still or cloud.motion is not None for cloud in clouds]
     motions[compensated] = 0.0
     table = pa.table([[pose.ravel() for pose in poses], list(motions)], schema=_TRACK)
     facts = {
         "check": asdict(check),
         "agreements": [asdict(a) for a in agreements],
+        "moved_already": moved,
         "cpu_ms": 1e3 * (time.process_time() - started),
     }
     store.write(ref, table, {"stage": "track", "stage_version": VERSION, **facts})
@@ -149,6 +158,7 @@ def read_track(out: Path, ref: ShardRef) -> Track:
         np.array(table.column("motion").to_pylist()).reshape(-1, 6),
         PoseCheck(**facts["check"]),
         tuple(Agreement(**a) for a in facts["agreements"]),
+        facts["moved_already"],
         facts["cpu_ms"],
     )
 
@@ -207,17 +217,19 @@ def _refuse_gaps(groups: Sequence[Group], found: list[Registered]) -> None:
 
 @dataclass(frozen=True)
 class _Heading:
-    """Where a thinned scan lies: its shard, rows, number and own motion. Called, it reads it."""
+    """Where a thinned scan lies: its shard, rows, number and own motion, and whether it is de-skewed. Called, it reads it."""
 
     ref: ShardRef
     rows: slice
     number: int
     motion: tuple[float, ...] | None
+    still: bool = False
 
     def __call__(self, store: ShardStore) -> Thinned:
         values = _rows_of(store.root.parent, self.ref)[self.rows]
         motion = None if self.motion is None else np.array(self.motion)
-        return Thinned(self.number, values[:, :3].copy(), values[:, 3].copy(), motion)
+        cloud = Thinned(self.number, values[:, :3].copy(), values[:, 3].copy(), motion)
+        return still(cloud) if self.still else cloud
 
 
 @lru_cache(maxsize=_GROUPS_HELD)

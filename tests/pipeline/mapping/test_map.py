@@ -6,7 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.encode import encode_scans
 from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.mapping import make_map as map_module
-from salpcc.pipeline.mapping import map_scans, map_tiles, map_track
+from salpcc.pipeline.mapping import map_scans, map_submaps, map_tiles, map_track
 from salpcc.pipeline.mapping.localise import LocaliseRequest, localise
 from salpcc.pipeline.mapping.make_map import make_map
 from salpcc.pipeline.mapping.map_request import MapRequest
@@ -179,6 +179,23 @@ def test_odometry_finds_the_drive(request_: Callable[..., MapRequest], poses: Pa
     truth = read_poses(poses)
     way = np.linalg.norm(truth[-1, :3, 3])
     assert way > 10 and np.linalg.norm(found[-1, :, 3] - truth[-1, :3, 3]) < 0.01 * way
+
+
+def test_scans_that_were_moved_already_are_not_moved_again(
+    request_: Callable[..., MapRequest], made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compensated scans that do not tell how they were moved make the map of those that do."""
+
+    def silent(*asked: object) -> Iterator[Scan]:
+        return (replace(scan, motion=None) for scan in map_scans.scans_of(*asked))  # type: ignore[arg-type]
+
+    for module in (map_track, map_submaps):
+        monkeypatch.setattr(module, "scans_of", silent)
+    summary = make_map(request_(tmp_path))
+    told = json.loads((made / "map.json").read_text())
+    assert summary["scans_moved_already"] and not told["scans_moved_already"]
+    kept = told["voxels"]["kept"] - told["voxels"]["filled"]
+    assert abs(summary["voxels"]["kept"] / kept - 1) < 0.01
 
 
 def test_poses_of_another_drive_are_caught(

@@ -1,0 +1,60 @@
+"""Scans that their driver moved to one instant are known by how they fit one another."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
+from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.mapping.deskew import deskewed, motion_of
+from salpcc.stages.mapping.moved_already import moved_already
+from salpcc.stages.mapping.odometry import Thinned, follow, thin
+from salpcc.stages.mapping.poses import inverse, read_poses
+
+F64 = NDArray[np.float64]
+SCANS = 8
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[F64], F64]:
+    """Compensated scans of a drive, and the motion per turn of each."""
+    out = tmp_path_factory.mktemp("drive")
+    config = SimulationConfig(sequence="00", scans=SCANS, seed=3, scene="city", movers=0, speed_mps=12.0)
+    simulate_sequence(config, out, load_sensor("hdl64e"))
+    points = [SOURCES["simulated"].read(r, False).points for r in SOURCES["simulated"].scans(out, "00")]
+    poses = read_poses(out / "sequences" / "00" / "poses.txt")
+    steps = [motion_of(inverse(a) @ b, 1) for a, b in pairwise(poses)]
+    return [p.astype(np.float64) for p in points], np.array([*steps, steps[-1]])
+
+
+def clouds(points: list[F64]) -> list[Thinned]:
+    """Scans that tell no motion, their times by azimuth."""
+    out = []
+    for k, xyz in enumerate(points):
+        xyz = xyz[np.linalg.norm(xyz, axis=1) > 2.0]
+        out.append(Thinned(k, *thin(xyz, before_of(xyz)), None))
+    return out
+
+
+def before_of(xyz: F64) -> F64:
+    return np.asarray(np.arctan2(xyz[:, 1], xyz[:, 0]) / (2 * np.pi))
+
+
+def verdict(scans: list[Thinned]) -> bool:
+    return moved_already([lambda s=s: s for s in scans], list(follow(scans)), range(len(scans)))
+
+
+def test_compensated_scans_are_known_and_raw_ones_too(drive: tuple[list[F64], F64]) -> None:
+    points, motions = drive
+    assert verdict(clouds(points))
+    raw = [deskewed(xyz, before_of(xyz), -m) for xyz, m in zip(points, motions, strict=True)]
+    assert not verdict(clouds(raw))
+
+
+def test_who_stands_is_left_as_it_is(drive: tuple[list[F64], F64]) -> None:
+    assert not verdict(clouds([drive[0][0]] * 3))
