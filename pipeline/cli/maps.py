@@ -66,9 +66,10 @@ def map_(
     poses: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="FILE|odometry",
-            help="Where the scans were: a KITTI poses.txt with calib.txt beside it for each archive, or odometry, which "
-            "registers them. [default: odometry]",
+            metavar="FILE|TOPIC|odometry",
+            help="Where the scans were, for each archive: a file of poses (KITTI's with calib.txt beside it, poses.txt of a map, "
+            "or the sensor's with times as TUM and EuRoC write them), a topic of its log (/tf, odometry, poses), or odometry, "
+            "which registers them. [default: odometry]",
         ),
     ] = None,
     labels: Annotated[

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.pipeline.mapping.map_poses import given_poses
 from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.stages.mapping.poses import poses_of, read_poses
 from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
@@ -64,7 +64,8 @@ class MapPlan:
 def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
     """List the groups of archives that make one map.
 
-    ``poses`` is one poses file for each archive, all in one frame; none, or ``odometry``, leave it to odometry.
+    ``poses`` is one file or topic for each archive, as :func:`given_poses` takes them, all in one frame; none, or ``odometry``,
+    leave it to odometry.
 
     Raises:
         UsageError: not one poses file for each archive.
@@ -91,7 +92,7 @@ def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
             other = seen.setdefault((reader.facts.sequence, name), reader.path)
             if other is not reader.path:
                 raise SourceError(f"scan {name} is both in {other} and in {reader.path}; name one of them")
-        placed = None if by_odometry else poses_of(names, read_poses(Path(sources[at])), Path(sources[at]))
+        placed = None if by_odometry else given_poses(sources[at], reader)
         if placed is not None:
             origin = origin_of(placed) if origin is None else origin
             placed[:, :3, 3] -= origin

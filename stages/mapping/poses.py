@@ -30,13 +30,31 @@ def read_poses(path: Path) -> F64:
     """
     if not path.is_file():
         raise SourceError(f"{path}: no poses there; name a KITTI poses.txt, or use --poses odometry")
+    camera = _matrices(path)
+    to_camera = _calibration(path.with_name("calib.txt"))
+    return _sound(np.linalg.inv(to_camera) @ camera @ to_camera)
+
+
+def read_sensor_poses(path: Path) -> F64:
+    """Read poses ``(N, 4, 4)`` that are the sensor's, in lines as KITTI's, as a map has them.
+
+    Raises:
+        SourceError: the file is unreadable, a line has not 12 numbers.
+    """
+    return _sound(_matrices(path))
+
+
+def _matrices(path: Path) -> F64:
     none = np.full((4, 4), np.nan)
     rows = enumerate(frame_lines(path))
-    camera = [_matrix(row, f"{path}: line {at + 1}") if row else none for at, row in rows]
-    if not camera:
+    poses = [_matrix(row, f"{path}: line {at + 1}") if row else none for at, row in rows]
+    if not poses:
         raise SourceError(f"{path}: no pose in it; use --poses odometry")
-    to_camera = _calibration(path.with_name("calib.txt"))
-    sensor: F64 = np.linalg.inv(to_camera) @ np.array(camera) @ to_camera
+    return np.array(poses)
+
+
+def _sound(sensor: F64) -> F64:
+    """Return poses ``(N, 4, 4)`` with NaN in place of what is no rotation."""
     square = np.einsum("nij,nkj->nik", sensor[:, :3, :3], sensor[:, :3, :3])
     with np.errstate(invalid="ignore"):
         sound = np.abs(square - np.eye(3)).max(axis=(1, 2)) < _ROTATION_SLACK
