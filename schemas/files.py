@@ -46,8 +46,10 @@ def location(name: str | Path) -> Path:
     """Return the path of a file name or URL, such as ``s3://bucket/folder``; credentials come from the environment.
 
     Raises:
-        UsageError: nothing here reads such URLs, or it holds a password.
+        UsageError: nothing here reads such URLs, it holds a password, or it is empty.
     """
+    if name == "":
+        raise UsageError("an empty name is no file or folder; the current folder is .")
     if not isinstance(name, str) or "://" not in name:
         return Path(name) if isinstance(name, str) else name
     scheme = name.partition("://")[0]

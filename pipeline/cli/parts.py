@@ -66,7 +66,7 @@ def find(
     """Find scans in the catalogue that runs leave: by what was seen, by motion, size, or any other column."""
     from salpcc.pipeline.find.catalogue import read_catalogue
     from salpcc.pipeline.find.find import find as find_scans
-    from salpcc.pipeline.find.find import named_columns
+    from salpcc.pipeline.find.find import named_columns, not_known
 
     folder = out.parent if out.suffix == ".parquet" else out
     catalogue = read_catalogue(folder)
@@ -78,6 +78,8 @@ def find(
         for line in _lines(found, [*_SHOWN, *named]):
             typer.echo(line)
         STDERR.print(f"{len(found):,} of {len(catalogue):,} scans", highlight=False)
+        for line in not_known(catalogue, condition):
+            STDERR.print(f"note: {line}", soft_wrap=True, markup=False, highlight=False)
     if export is not None and len(found):
         from salpcc.pipeline.find.export_found import export_found
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from salpcc.pipeline.find.catalogue import CLASS_COLUMNS
 from salpcc.schemas.errors import UsageError
 
 _LONGEST = 1 << 20  # bytes of a text that a condition may make
@@ -65,6 +66,20 @@ def named_columns(catalogue: pa.Table, condition: str) -> list[str]:
     """Columns that a condition may name; SQL takes names in any case."""
     words = {word.lower() for word in re.findall(r"\w+", condition)}
     return [name for name in catalogue.column_names if name.lower() in words]
+
+
+def not_known(catalogue: pa.Table, condition: str) -> list[str]:
+    """Say of which columns of a condition nothing is known of some scans, and how to come to know it."""
+    lines = []
+    for name in named_columns(catalogue, condition):
+        if unknown := catalogue.column(name).null_count:
+            how = "; runs count classes that labels give (--labels given) or the network finds (no --keep-movable)"
+            counted = name in CLASS_COLUMNS or name in ("ground", "other", "static", "movable")
+            of = "any" if unknown == len(catalogue) else f"{unknown:,} of {len(catalogue):,}"
+            lines.append(
+                f"{name}: not known of {of} scan{'' if of == 'any' else 's'}{how if counted else ''}"
+            )
+    return lines
 
 
 def _lock(base: sqlite3.Connection, rows: int) -> None:

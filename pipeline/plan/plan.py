@@ -10,6 +10,7 @@ from salpcc.pipeline.plan.records import recorded
 from salpcc.pipeline.plan.side_files import list_side
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError, UsageError
+from salpcc.schemas.files import is_url
 from salpcc.schemas.work import GopSource, Known, ScanError, ScanRef, SideRef
 from salpcc.stages.ingest.sources import SOURCES
 
@@ -37,7 +38,10 @@ def plan_run(
     What is on record in ``out`` of a log that has not changed since spares going through it.
 
     Raises:
-        UsageError: the root is missing, or none of the sequences is there.
+        UsageError: the root is missing, or none of the sequences is there; or ``out`` lies among the files that go into an archive.
+
+    Warns:
+        LogWarning: what else lies with the scans, or in their log, and stays behind.
     """
     source = SOURCES[config.source]
     with suppress(FileNotFoundError):
@@ -62,6 +66,8 @@ def plan_run(
         except SourceError as error:
             missing.append(ScanError(sequence, "", "ingest", str(error)))
             continue
+        if config.side_files and out is not None:
+            _check_apart(out, source.folder(root, sequence))
         side = list_side(config.source, root, sequence, listed) if config.side_files else ()
         plans.append(SequencePlan(sequence, cut(config.source, sequence, refs, config.gop), side=side))
     if not plans and source.passes:  # it is named by its file
@@ -72,6 +78,17 @@ def plan_run(
             f"{missing[0].reason} (sequences there: {known}; to try without data: --source simulated)"
         )
     return plans, missing
+
+
+def _check_apart(out: Path, folder: Path | None) -> None:
+    """Refuse an output whose files the next run would take for those of a sequence."""
+    if folder is None:
+        return
+    here, there = (path if is_url(path) else path.resolve() for path in (out, folder))
+    if there in (here, *here.parents):
+        raise UsageError(
+            f"{out} lies in {folder}, whose files go into the archive; choose another --out, or --no-side-files"
+        )
 
 
 def missing_root(root: Path, source: str) -> str:

@@ -7,9 +7,16 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+_PER_VALUE, _SPARE = 4, 4096  # bytes that are enough, but for values that nobody expects
 
-def run_encoder(encode: Callable[[NDArray[np.uint8]], int], values: int) -> bytes:
+
+def run_encoder(
+    encode: Callable[[NDArray[np.uint8]], int], values: int, *learning: NDArray[np.generic]
+) -> bytes:
     """Call an encoder of about ``values`` values with a buffer, with a larger one if it returns -1.
+
+    ``learning``: models that outlive the call and learn from what is encoded; before another call they are set back to
+    what a decoder will begin with.
 
     >>> def encode(out):
     ...     if len(out) < 5000:
@@ -19,10 +26,13 @@ def run_encoder(encode: Callable[[NDArray[np.uint8]], int], values: int) -> byte
     >>> len(run_encoder(encode, 10))
     5000
     """
-    size = 4 * values + 4096
+    size = _PER_VALUE * values + _SPARE
+    first = [model.copy() for model in learning]
     while True:
         out = np.empty(size, np.uint8)
         written = encode(out)
         if written >= 0:
             return out[:written].tobytes()
         size *= 4
+        for model, before in zip(learning, first, strict=True):
+            model[...] = before

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,12 +23,13 @@ from salpcc.pipeline import Archive
 from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph.graph import GraphOptions
+from salpcc.pipeline.plan.plan import plan_run
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.sensors.calibration import calibrate_log
 from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
 from salpcc.schemas.config import RunConfig
-from salpcc.schemas.errors import SourceError
+from salpcc.schemas.errors import LogWarning, SourceError
 from salpcc.stages.ingest.sources import bag as bag_module
 from salpcc.stages.ingest.sources.bag import Bag, digest_log, find_log, open_log
 from salpcc.stages.ingest.sources.mcap_log import McapLog
@@ -402,6 +404,17 @@ def test_a_bound_holds_and_the_topics_asked_for_are_coded(
     assert [row for row in read(path) if row[0] in ("/map", "/texts")] == untouched
     for kind in ("kitti", "ply", "laz"):
         assert len(list(EXPORTS[kind](archive, iter(archive), tmp_path))) == 6
+
+
+def test_frames_of_a_log_say_what_of_other_topics_stays(logs: Path) -> None:
+    part = RunConfig(source="bag", frames=(1, 2), topics=("/map", "/organised"))
+    with pytest.warns(
+        LogWarning, match=r"bare\.mcap: of /notes, /texts, /velodyne/points, only what was recorded"
+    ):
+        plan_run(logs, ["bare"], part)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LogWarning)
+        plan_run(logs, ["sqlite"], RunConfig(source="bag"))
 
 
 def test_a_cloud_that_cannot_be_read_passes_through(toy_root: Path, tmp_path: Path) -> None:

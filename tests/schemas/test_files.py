@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import (
     atomic,
     location,
@@ -77,3 +78,9 @@ def test_only_what_goes_between_is_a_lost_connection(memory: Path) -> None:
         (memory / "nothing").read_bytes()
     assert why(caught.value) == "No such file" and not unreachable(caught.value)
     assert unreachable(ConnectionResetError()) and why(OSError(28, "No space left")) == "No space left"
+
+
+def test_an_empty_name_is_not_the_current_folder() -> None:
+    with pytest.raises(UsageError, match=r"an empty name .* current folder is \."):
+        location("")
+    assert location(".") == Path()

@@ -124,10 +124,19 @@ class Bag(Source):
         return root.exists()
 
     def asked(self, root: Path, sequence: str, config: RunConfig, record: dict[str, Any]) -> list[ScanRef]:
-        """List the clouds of the topics asked for; a log that has not changed since ``record`` is not gone through again."""
+        """List the clouds of the topics asked for; a log that has not changed since ``record`` is not gone through again.
+
+        Warns:
+            LogWarning: as :meth:`scans`, and of what passes through only in part, as frames were asked for.
+        """
         path = find_log(root, sequence)
         same = log_mark(path) == record.get("files", {}).get(path.name, ("",))[0]
-        return self.scans(root, sequence, config.topics, record.get("places") if same else None)
+        refs = self.scans(root, sequence, config.topics, record.get("places") if same else None)
+        others = {channel.topic for channel in open_log(path).channels.values()} - {ref.topic for ref in refs}
+        if config.frames and others:
+            line = f"{path}: of {', '.join(sorted(others))}, only what was recorded from the first to the last of these clouds is kept"
+            warnings.warn(" ".join(line.split()), LogWarning, stacklevel=2)
+        return refs
 
     def places(self, refs: Sequence[ScanRef]) -> Clouds:
         """Say by topic where the clouds of a log are."""

@@ -25,12 +25,6 @@ class _Learnt:
         self.counts = np.zeros(contexts, np.uint8)
         self.weights = weights
 
-    def copy(self) -> _Learnt:
-        """An encoder that runs out of room starts again from here."""
-        other = _Learnt(0, self.weights.copy())
-        other.chances, other.counts = self.chances.copy(), self.counts.copy()
-        return other
-
     @property
     def arrays(self) -> tuple[NDArray[np.uint16], NDArray[np.uint8], NDArray[np.float64]]:
         return self.chances, self.counts, self.weights
@@ -57,25 +51,22 @@ class ContextImages:
         slopes = row_slopes(images.elevation)
 
         def mask(out: NDArray[np.uint8]) -> int:
-            state, learnt = start_encoder(), self._mask.copy()
-            grid_mask.code_mask(False, state, out, filled, known, self._old, *learnt.arrays)
-            written = int(finish_encoder(state, out))
-            self._mask = learnt if written >= 0 else self._mask
-            return written
+            state = start_encoder()
+            grid_mask.code_mask(False, state, out, filled, known, self._old, *self._mask.arrays)
+            return int(finish_encoder(state, out))
 
         def levels(out: NDArray[np.uint8]) -> int:
-            state, learnt = start_encoder(), self._levels.copy()
+            state = start_encoder()
             grid_levels.code_levels(
                 False, state, out, level, filled, frame, plane, images.spread, slopes, images.accuracy,
-                *learnt.arrays,
+                *self._levels.arrays,
             )  # fmt: skip
-            written = int(finish_encoder(state, out))
-            self._levels = learnt if written >= 0 else self._levels
-            return written
+            return int(finish_encoder(state, out))
 
-        streams = run_encoder(mask, ROWS * COLUMNS // 8), b"", run_encoder(levels, int(filled.sum()))
+        of_mask = run_encoder(mask, ROWS * COLUMNS // 8, *self._mask.arrays)
+        of_levels = run_encoder(levels, int(filled.sum()), *self._levels.arrays)
         self._old = filled
-        return streams
+        return of_mask, b"", of_levels
 
     def decode(
         self, mask: bytes, ground: bytes, levels: bytes, returns: int, images: Images

@@ -114,7 +114,7 @@ def _encode_side(scan: Encoding) -> bytes:
     parts = []
     for values in (heads, rows):
         model = integer_model(values.shape[1])
-        parts.append(run_encoder(partial(encode_integers, values, model), values.size))
+        parts.append(run_encoder(partial(encode_integers, values, model), values.size, model))
     return len(parts[0]).to_bytes(2, "little") + parts[0] + parts[1]
 
 
@@ -182,6 +182,8 @@ def _encode_intensity(scan: Encoding) -> bytes:
             scan.starts, scan.tick, scan.level, hundredths, state.intensity, state.by_row, out
         ),
         len(floats),
+        state.intensity,
+        state.by_row,
     )
 
 
@@ -206,6 +208,7 @@ def _encode_classes(scan: Encoding) -> bytes:
     return run_encoder(
         lambda out: class_coder.encode_classes(scan.starts, scan.tick, classes, scan.state.classes, out),
         len(classes),
+        scan.state.classes,
     )
 
 

@@ -144,6 +144,8 @@ def _encode_mask(scan: Encoding) -> bytes:
         return run_encoder(
             lambda out: mask_coder.encode_mask(scan.starts, tick, *turn, state.firing, state.mask, out),
             len(tick),
+            state.firing,
+            state.mask,
         )
     known = ring_starts(static.laser, sensor.n_lasers), static.tick
     return run_encoder(
@@ -151,6 +153,8 @@ def _encode_mask(scan: Encoding) -> bytes:
             *known, scan.starts, tick, *turn, state.layer_firing, state.layer_mask, out
         ),
         len(tick),
+        state.layer_firing,
+        state.layer_mask,
     )
 
 
@@ -235,7 +239,7 @@ def _corrections(
     if reach < 0:
         return b""
     return run_encoder(
-        lambda out: correction_coder.encode_corrections(*boundary, reach, codes, bits, out), len(codes)
+        lambda out: correction_coder.encode_corrections(*boundary, reach, codes, bits, out), len(codes), bits
     )
 
 
@@ -374,6 +378,7 @@ def _encode_classes(scan: Encoding) -> bytes:
     return of_strays + run_encoder(
         lambda out: class_coder.encode_classes(scan.starts, sweep.tick, classes, scan.state.classes, out),
         len(classes),
+        scan.state.classes,
     )
 
 

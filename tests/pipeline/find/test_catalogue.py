@@ -111,6 +111,10 @@ def test_what_is_dropped_or_not_asked_for(
     for row in read_catalogue(tmp_path / "kept").to_pylist():
         assert row["dropped"] == 0 and row["movable"] is row["car"] is row["static"] is None
     assert read_catalogue(tmp_path / "kept").num_rows == 3
+    code, _, said = command("find", tmp_path / "kept", "person > 5 or points < 3")
+    assert code == 0 and "0 of 3 scans" in said
+    assert "note: person: not known of any scan; runs count classes that labels give" in said
+    assert "points" not in said and "not known" not in command("find", tmp_path / "dropped", "car > 5")[2]
 
 
 def made_up(n: int) -> pa.Table:

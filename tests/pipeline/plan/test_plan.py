@@ -1,5 +1,6 @@
 """The plan: which scans, cut where."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,15 @@ def test_nothing_to_do_is_wrong_use(toy_root: Path) -> None:
         plan_run(toy_root, ["05"], RunConfig())
     with pytest.raises(UsageError, match="no scans in the frames"):
         plan_run(toy_root, ["00"], RunConfig(frames=(100, 200)))
+
+
+def test_an_output_among_the_files_of_a_sequence_is_refused(
+    tmp_path: Path, toy: Callable[[Path, str, list[int]], Path]
+) -> None:
+    """A second run would take the files of the first one into its archive."""
+    root = toy(tmp_path, "00", [0])
+    inside = root / "sequences" / "00" / "runs" / "out"
+    with pytest.raises(UsageError, match=r"out lies in .*00, .* choose another --out"):
+        plan_run(root, ["00"], RunConfig(), inside)
+    for out, config in ((root / "out", RunConfig()), (inside, RunConfig(side_files=False))):
+        assert len(plan_run(root, ["00"], config, out)[0]) == 1
