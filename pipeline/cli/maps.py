@@ -215,10 +215,25 @@ def localise(
     archives: Annotated[
         list[Path], typer.Argument(metavar="ARCHIVE", help="The same sequences, coded in different ways.")
     ],
-    against: Annotated[
-        Path, typer.Option(metavar="DIR", help="The data lie here: source scans, labels, poses.txt.")
-    ],
     out: Annotated[Path, typer.Option(help="The record for the report goes here.")],
+    against: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The data lie here: source scans, labels, poses.txt.")
+    ] = None,
+    map_: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--map",
+            metavar="MAP",
+            help="Localise in this map, instead of by the scan before; may be repeated: a clean one, a raw one, another codec's.",
+        ),
+    ] = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|TOPIC",
+            help="Where the scans were, in the frame of --map, as map takes it. [default: poses.txt of the map]",
+        ),
+    ] = None,
     rivals: Annotated[
         str, typer.Option(metavar="NAME,NAME", help="Compare these codecs at the same bits a point.")
     ] = "none",
@@ -230,8 +245,17 @@ def localise(
     scheduler: Scheduler = None,
     json_: Json = False,
 ) -> None:
-    """Register consecutive decoded scans by ICP and measure the error, with movable things and without."""
+    """Register consecutive decoded scans by ICP, or localise them in a map, and measure the error, with movable things and without."""
     require("map", "localise")
+    if map_:
+        if rivals != "none" or against is not None:
+            raise UsageError(
+                "--map takes --poses, and neither --against nor --rivals; a map of another codec is another --map"
+            )
+        _in_maps(archives, map_, poses, out, every, workers, scheduler, json_)
+        return
+    if against is None:
+        raise UsageError("localise takes --against, the root with source scans and poses.txt, or --map")
     from salpcc.pipeline.mapping.localise import LocaliseRequest
     from salpcc.pipeline.mapping.localise import localise as run
     from salpcc.stages.evaluate.baselines import names as baseline_names
@@ -254,6 +278,38 @@ def localise(
         typer.echo(
             f"{row['sequence']:3} {row['cloud']:8} {error:>8} {bits:>5} {'with' if row['movable'] else 'without':8} "
             f"{row['method']:15} {row['pairs']:5}  {'  '.join(figures)}"
+        )
+    typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
+
+
+def _in_maps(
+    archives: list[Path],
+    maps: list[Path],
+    poses: str | None,
+    out: Path,
+    every: int,
+    workers: int | None,
+    scheduler: str | None,
+    json_: bool,
+) -> None:
+    from salpcc.pipeline.mapping.localise_in_map import InMapRequest, localise_in_maps
+    from salpcc.stages.evaluate.report.downstream import localisation_figures
+
+    rows = localisation_figures(
+        localise_in_maps(InMapRequest(archives, maps, out, poses, every, workers, scheduler))
+    )
+    if json_:
+        typer.echo(json.dumps(rows, indent=1))
+        return
+    typer.echo("seq map          error movables ICP             scans lost  rotation, deg    translation, m")
+    for row in rows:
+        figures = [
+            "-" if row[f"{k}_mean"] is None else f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_std']:.4f}"
+            for k in ("rotation_deg", "translation_m")
+        ]
+        typer.echo(
+            f"{row['sequence']:3} {row['map']:10} {1e3 * row['max_error']:4.1f} mm "
+            f"{'with' if row['movable'] else 'without':8} {row['method']:15} {row['scans']:5} {row['lost']:4}  {'  '.join(figures)}"
         )
     typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
 

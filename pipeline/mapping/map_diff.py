@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import laspy
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData
 
 from salpcc.pipeline.mapping.map_export import with_columns
 from salpcc.pipeline.mapping.map_frame import Frame
+from salpcc.pipeline.mapping.map_read import read_tile_file
 from salpcc.pipeline.mapping.map_summary import frame_of_summary, read_summary
 from salpcc.pipeline.mapping.map_write import read_track
 from salpcc.schemas.errors import SourceError, UsageError
@@ -66,7 +65,7 @@ def diff(before: Path, after: Path, out: Path) -> dict[str, Any]:
     as poses of two sessions lie some centimetres apart.
 
     Raises:
-        UsageError: no map there, or none with LAZ or PLY tiles; two coordinate systems.
+        UsageError: no map there, or none with LAZ, COPC or PLY tiles; two coordinate systems.
         SourceError: the two lie nowhere on one another.
     """
     frames = [frame_of_summary(read_summary(path)) for path in (before, after)]
@@ -112,7 +111,7 @@ def _session(path: Path, frame: Frame) -> Session:
     """Read a map as a session in the frame of another one."""
     summary = read_summary(path)
     own = frame_of_summary(summary)
-    parts = [_read_tile(path, name, own) for name in summary["tiles"]]
+    parts = [read_tile_file(path, name, own) for name in summary["tiles"]]
     voxels = Voxels.together(parts)
     if not len(voxels):
         raise SourceError(f"{path}: a map of nothing")
@@ -121,21 +120,6 @@ def _session(path: Path, frame: Frame) -> Session:
     return Session(
         replace(voxels, xyz=voxels.xyz - np.array(frame.origin)), poses, summary["config"]["voxel"]
     )
-
-
-def _read_tile(path: Path, name: str, frame: Frame) -> Voxels:
-    """Read places, in the frame of the poses, and classes of a tile."""
-    laz, ply = (path / "tiles" / f"{name}.{form}" for form in ("laz", "ply"))
-    if laz.is_file():
-        las = laspy.read(laz)
-        return Voxels.of_points(
-            np.array(las.xyz), np.array(las.mean_intensity), np.array(las.user_data, np.uint8)
-        )
-    if not ply.is_file():
-        raise UsageError(f"{path}: no tile {name} in LAZ or PLY; make the map with --formats laz")
-    rows = PlyData.read(ply)["vertex"].data
-    xyz = np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64) + np.array(frame.origin)
-    return Voxels.of_points(xyz, rows["intensity"].copy(), rows["class"].copy())
 
 
 def _rows(gone: _Side, appeared: _Side, frame: Frame) -> list[dict[str, Any]]:

@@ -23,6 +23,12 @@ class Tile:
         """Name of its files, such as ``x+003_y-001``."""
         return f"x{self.x:+04d}_y{self.y:+04d}"
 
+    @classmethod
+    def named(cls, name: str) -> Tile:
+        """Return the tile of a name; inverse of :attr:`name`."""
+        x, y = (int(part[1:]) for part in name.split("_"))
+        return cls(x, y)
+
     def corner(self, size: float) -> F64:
         """Return its lower corner ``(3,)`` at height 0."""
         return np.array([self.x * size, self.y * size, 0.0])

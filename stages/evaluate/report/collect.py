@@ -13,7 +13,12 @@ import pyarrow.compute as pc
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.evaluate.measures.aggregate import STREAMS, figures, total
 from salpcc.stages.evaluate.report.baseline_figures import baseline_figures, bd_rates
-from salpcc.stages.evaluate.report.downstream import ablation_figures, coder_figures, registration_figures
+from salpcc.stages.evaluate.report.downstream import (
+    ablation_figures,
+    coder_figures,
+    localisation_figures,
+    registration_figures,
+)
 from salpcc.stages.evaluate.report.machine import describe_machine
 from salpcc.stages.evaluate.report.record import recorded, recorded_run
 from salpcc.stages.evaluate.report.savings import add_savings
@@ -50,6 +55,7 @@ def collect(out: Path, beside: Sequence[Path] = ()) -> dict[str, Any]:
         "coders": coder_figures(_joined(folders, "coders")),
         "ablations": ablation_figures(_joined(folders, "ablations")),
         "registration": registration_figures(_joined(folders, "registration")),
+        "localisation": localisation_figures(_joined(folders, "localisation")),
         "map_quality": sorted(_joined(folders, "map_quality").to_pylist(), key=_map_place),
         "failures": failures.to_pylist(),
         "errors": error_lines(failures),

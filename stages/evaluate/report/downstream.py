@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from salpcc.stages.evaluate.measures.metrics import compression_rate
 
 Rows = list[dict[str, Any]]
 
+_IN_MAP = ("sequence", "map", "max_error", "movable", "method")
+_LOST = 1.0  # metres, beyond which a scan was not found
 _CLOUD = ("sequence", "method", "cloud", "max_error", "movable")
 
 
@@ -26,6 +29,23 @@ def registration_figures(rows: pa.Table) -> Rows:
     return sorted(
         found, key=lambda row: (row["sequence"] or "", row["method"] or "")
     )  # otherwise as recorded
+
+
+def localisation_figures(rows: pa.Table) -> Rows:
+    """Mean, standard deviation and median over the scans that were found in each map, within a metre, and how many were not."""
+    by: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in rows.to_pylist():
+        by.setdefault(tuple(row[name] for name in _IN_MAP), []).append(row)
+    found = []
+    for key, group in by.items():
+        good = [row for row in group if row["translation_m"] is not None and row["translation_m"] <= _LOST]
+        figures = dict(zip(_IN_MAP, key, strict=True)) | {"scans": len(group), "lost": len(group) - len(good)}
+        for name in ("rotation_deg", "translation_m"):
+            values = np.array([row[name] for row in good])
+            for short, measure in (("mean", np.mean), ("std", np.std), ("median", np.median)):
+                figures[f"{name}_{short}"] = float(measure(values)) if len(values) else None
+        found.append(figures)
+    return found
 
 
 def coder_figures(rows: pa.Table) -> Rows:

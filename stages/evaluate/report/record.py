@@ -23,6 +23,7 @@ SCHEMAS: Mapping[str, pa.Schema] = {
     "failures": schema.FAILURES,
     "baselines": schema.BASELINES,
     "registration": schema.REGISTRATION,
+    "localisation": schema.LOCALISATION,
     "map_quality": schema.MAP_QUALITY,
     "coders": schema.CODERS,
     "ablations": schema.ABLATIONS,

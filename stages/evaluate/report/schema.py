@@ -122,6 +122,20 @@ REGISTRATION = pa.schema(
     ]
 )
 
+# One row per scan, map and method: the error of its pose in the map.
+LOCALISATION = pa.schema(
+    [
+        ("sequence", pa.string()),
+        ("scan", pa.string()),
+        ("map", pa.string()),
+        ("max_error", pa.float64()),  # metres asked of the archive, 0 for bit-exact
+        ("movable", pa.bool_()),  # whether movable points are in the scan
+        ("method", pa.string()),  # "point to point", "point to plane"
+        ("rotation_deg", pa.float64()),  # null where the map, or the scan, has too little there
+        ("translation_m", pa.float64()),
+    ]
+)
+
 # One row per map and kind of truth. Accuracies and rates are parts of 1.
 MAP_QUALITY = pa.schema(
     [

@@ -141,7 +141,7 @@ def test_maps_that_cannot_be_compared_are_told(changed: tuple[Path, Path], tmp_p
         diff(in_crs[0], in_crs[1], tmp_path)
     (changed[0] / "tiles" / "all.laz").rename(tmp_path / "kept.laz")
     try:
-        with pytest.raises(UsageError, match=r"no tile all in LAZ or PLY.*--formats laz"):
+        with pytest.raises(UsageError, match=r"no tile all in LAZ, COPC or PLY.*--formats laz"):
             diff(*changed, tmp_path)
     finally:
         (tmp_path / "kept.laz").rename(changed[0] / "tiles" / "all.laz")

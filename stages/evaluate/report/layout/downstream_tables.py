@@ -18,6 +18,7 @@ def downstream_tables(report: Report) -> list[Table]:
         ablation_table(i, study, rows) for i, (study, rows) in enumerate(report["ablations"].items(), 1)
     ]
     tables += [table_5(report["registration"])] if report["registration"] else []
+    tables += [localisation_table(report["localisation"])] if report.get("localisation") else []
     return tables + ([map_table(report["map_quality"])] if report["map_quality"] else [])
 
 
@@ -89,6 +90,27 @@ def table_5(rows: Sequence[Mapping[str, Any]]) -> Table:
         note,
         grouped="sequence",
     )
+
+
+def localisation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Mean and spread of the errors of scans localised in maps."""
+    columns = (
+        Column("map", "map"),
+        Column("asked", "asked error"),
+        Column("movable", "movables in the scan"),
+        Column("method", "ICP"),
+        Column("sequence", "sequence"),
+        Column("scans", "scans", ","),
+        Column("lost", "lost", ","),
+        *(
+            Column(f"{kind}_{unit}_{figure}", f"{kind}, {unit}, {figure}", ".4f")
+            for kind, unit in (("rotation", "deg"), ("translation", "m"))
+            for figure in ("mean", "std", "median")
+        ),
+    )
+    shown = [{**row, "asked": accuracy_label(row["max_error"])} for row in rows]
+    note = "Each scan begins where the one before it was. Lost: farther than a metre off, and in no mean."
+    return Table("localisation", "Localisation in maps", columns, tuple(shown), note, grouped="sequence")
 
 
 def map_table(rows: Sequence[Mapping[str, Any]]) -> Table:
