@@ -9,6 +9,7 @@ from pathlib import Path
 
 from salpcc.schemas.errors import SalpccError
 from salpcc.stages.predict.learned.network import Network, load_network
+from salpcc.stages.predict.learned.range_features import INPUTS
 
 WEIGHTS = Path(__file__).parent / "weights"
 EFFORTS = ("default", "max")
@@ -35,4 +36,4 @@ def load_models(effort: str) -> LearnedModels:
     ranges = load_network(WEIGHTS / f"range_{effort}.npz")
     intensity = load_network(WEIGHTS / f"intensity_{effort}.npz")
     digest = sha256(f"{ranges.digest}{intensity.digest}".encode()).hexdigest()
-    return LearnedModels(ranges, intensity, digest, effort == "max")
+    return LearnedModels(ranges, intensity, digest, len(ranges.first) > INPUTS)
