@@ -21,10 +21,43 @@ I64 = NDArray[np.int64]
 
 
 @njit(cache=True, error_model="numpy")
+def _nearest(z, rho, parameters, constants, tangent, order, wide, least):  # type: ignore[no-untyped-def]
+    """The laser whose cone is nearest to a point, the first of several.
+
+    Args:
+        order: lasers by rising ``tangent`` of elevation.
+        wide: metres that no cone's apex is farther from the origin than.
+        least: cosine of any elevation.
+    """
+    # From the cone of this slope outwards, both ways, as far as any could be nearer.
+    low, high = 0, len(order)
+    while low < high:
+        middle = (low + high) >> 1
+        if rho * tangent[order[middle]] < z:
+            low = middle + 1
+        else:
+            high = middle
+    nearest, best = np.inf, np.int64(-1)
+    for way in (-1, 1):
+        at = low - 1 if way < 0 else low
+        while 0 <= at < len(order):
+            k = order[at]
+            slope = abs(z - rho * tangent[k])
+            apart = abs(z - parameters[k, 1] - rho * tangent[k]) * constants[k, 0]
+            if apart < nearest or (apart == nearest and k < best):
+                nearest, best = apart, k
+            elif (slope - wide) * least > nearest * 1.000001:
+                break
+            at += way
+    return best
+
+
+@njit(cache=True, error_model="numpy")
 def _aim(parameters, count_size, ticks, points, laser):  # type: ignore[no-untyped-def]
     constants = laser_constants(parameters)
     sines, cosines = turn_tables(ticks)
     tangent = constants[:, 1] / constants[:, 0]
+    order, wide, least = np.argsort(tangent), np.abs(parameters[:, 1]).max(), constants[:, 0].min()
     n = len(points)
     tick = np.zeros(n, np.int64)
     count = np.zeros(n, np.int64)
@@ -36,12 +69,7 @@ def _aim(parameters, count_size, ticks, points, laser):  # type: ignore[no-untyp
             laser[i] = -1
             continue
         if laser[i] < 0:
-            nearest = np.inf
-            for k in range(len(parameters)):
-                apart = abs(z - parameters[k, 1] - rho * tangent[k]) * constants[k, 0]
-                if apart < nearest:
-                    nearest = apart
-                    laser[i] = k
+            laser[i] = _nearest(z, rho, parameters, constants, tangent, order, wide, least)
         k = laser[i]
         t, c = project_point(x, y, z, parameters[k], constants[k], count_size, ticks)
         tick[i], count[i] = np.int64(t) % ticks, np.int64(c)

@@ -51,6 +51,7 @@ def choose(
     motion: Motion,
     settled: bool,
     s: NDArray[np.float64] | None = None,
+    like: Layout | None = None,
 ) -> tuple[Way, Aimed] | None:
     """Return how points ``(S, 3)`` are best put on the lattice, and there; None where too few of them lie on it.
 
@@ -58,6 +59,7 @@ def choose(
         form, per: of corrections; ALONG where an error is allowed.
         settled: the points were put there before, and no bit may change.
         s: of each point ``(S,)``, where the motion is by time.
+        like: the layout that is taken without a trial, where it is a likely one.
     """
     if not _FEWEST <= len(points) <= MOST_POINTS:
         return None
@@ -75,7 +77,9 @@ def choose(
         return None
     if moved is None or s is not None:
         layouts = likely_layouts(points, lanes=True)
+        layouts = [like] if like in layouts else layouts
     ways = [replace(way, layout=layout) for layout in layouts]
+    way = ways[0]
     if len(ways) > 1:
         way = min(ways, key=lambda w: _tried(aimed, points, sensor, w))
     if not exact and not settled:

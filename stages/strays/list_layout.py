@@ -41,16 +41,20 @@ def find_layout(
     step: float,
     tolerance: float,
     lanes: NDArray[np.uint8] | None = None,
+    like: Layout | None = None,
 ) -> Layout:
     """Return (left, up) of the points ``(S, 3)`` that codes them in the fewest bytes, of a few likely ones.
 
     ``tolerance`` as for :func:`ray_stream.move_points`. Points that were moved once by a layout come out best by the same, as
     all others would have to leave them loose; this is why the part that is tried stands at the beginning.
+    ``like`` is taken without a trial, where it is a likely one.
     """
     # Lanes of points that were moved would not be quite the same.
     candidates = likely_layouts(points, lanes=form != ALONG)
     if len(candidates) == 1 or len(points) < _FEW:
         return 1, 0
+    if like is not None and like in candidates:
+        return like
     part = np.ascontiguousarray(points[:_TRIED])
     some = None if lanes is None else lanes[:_TRIED]
     out = np.empty(16 * len(part) + 4096, np.uint8)

@@ -95,6 +95,7 @@ def plan(
     settled: bool = True,
     lanes: NDArray[np.uint8] | None = None,
     times: NDArray[np.int64] | None = None,
+    like: Layout | None = None,
 ) -> Plan:
     """Plan how to encode points ``(S, 3)``.
 
@@ -104,21 +105,25 @@ def plan(
         settled: they were snapped, if need be, and no bit may change.
         lanes: the laser of each ``(S,)``, where the sensor tells; a guess will do.
         times: of each ``(S,)``, where they are told.
+        like: the layout of the scan before, which exact points are taken to have, too, where it is a likely one.
     """
     lanes = lanes if len(points) >= _FEWEST else None
     points = np.ascontiguousarray(points)
     form, per, step = _form(points, max_error)
     fix = BITS if form == HALVES else form
     exact = settled and step == 0.0
+    like = like if exact else None
     if sensor is not None and exact and times is not None:
-        moved = _moved_in_time(points, form, fix, per, sensor, lanes, times)
+        moved = _moved_in_time(points, form, fix, per, sensor, lanes, times, like)
         if moved is not None:
             return moved
-    chosen = choose(points, fix, per, max_error, sensor, motion, settled) if sensor is not None else None
+    chosen = None
+    if sensor is not None:
+        chosen = choose(points, fix, per, max_error, sensor, motion, settled, like=like)
     aimed = chosen and Plan(points, max_error, chosen[0].layout, fix, per, step, sensor, chosen, lanes)
     if aimed and (settled or aimed.share >= _NO_DOUBT):
         return aimed
-    layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes)
+    layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes, like)
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
     if exact and lanes is not None and times is not None:
         timed = write_timed(points, lanes, times, form, per)
@@ -135,13 +140,14 @@ def _moved_in_time(
     sensor: SensorModel,
     lanes: NDArray[np.uint8] | None,
     times: NDArray[np.int64],
+    like: Layout | None,
 ) -> Plan | None:
     """Plan for points ``(S, 3)`` that a motion by time moved off the lattice; None where it is not found."""
     found = find_timed_motion(points, sensor, times, lanes) if len(points) >= _FEWEST else None
     if found is None:
         return None
     motion, reference = found
-    chosen = choose(points, fix, per, 0.0, sensor, motion, True, timed_places(times, reference))
+    chosen = choose(points, fix, per, 0.0, sensor, motion, True, timed_places(times, reference), like)
     moved = write_moved(chosen, points, sensor, times, reference, _rest) if chosen else None
     if chosen is None or moved is None:
         return None

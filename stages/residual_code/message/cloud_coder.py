@@ -18,7 +18,8 @@ from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layo
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
+from salpcc.stages.residual_code.message.field_coder import Points, decode_field
+from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.strays.timeline import Timeline
 
 _WHOLE, _ROS1, _CHANNEL, _LOOSE = (
@@ -37,16 +38,16 @@ def encode_cloud(
     points: NDArray[np.float32],
     exact: bool,
     before: bytearray,
-    sensor: SensorModel | None = None,
-    told: Timeline | None = None,
+    known: Points,
+    modes: FieldModes,
 ) -> tuple[bytes, Cloud]:
     """Encode what a cloud adds to the decoded points ``(N, 3)`` of a scan.
 
     Args:
         exact: the points are; float64 coordinates are then coded in full, else they follow the points.
         before: the envelope of the scan before; becomes that of this scan.
-        sensor: whose lattice the points may lie on.
-        told: lasers and times of the points, where their own stream tells them.
+        known: of these points, by :func:`points_of`.
+        modes: of the fields of the group's scans.
 
     Returns:
         the section, and the cloud as it will be decoded.
@@ -57,7 +58,6 @@ def encode_cloud(
     code = encode_bytes(envelope, before)
     loose = encode_bytes(cloud.loose, bytearray())
     layout = cloud.layout
-    known = points_of(points, cloud, sensor, told)
     flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1 + (cloud.channel > 0) * _CHANNEL
     flags |= (bool(cloud.loose) and not cloud.whole) * _LOOSE
     parts = [
@@ -71,7 +71,7 @@ def encode_cloud(
         if base is not None and not exact:
             values = base
         else:
-            parts.append(encode_field(values, known, base))
+            parts.append(modes.encode((cloud.topic, field.name), values, known, base))
         columns.append(values)
     return b"".join(parts), replace(cloud, rest=_rest(layout, columns, len(points)))
 

@@ -28,6 +28,7 @@ from salpcc.stages.entropy.number_forms import (
     MOST_DIGITS,
     ORDERED,
     SCALES,
+    Spans,
     find_scale,
     from_bits,
     from_scale,
@@ -51,6 +52,7 @@ from salpcc.stages.residual_code.message.firing_times import (
     Clocked,
     Fired,
     decode_times,
+    encode_times,
     find_times,
     fired_by,
 )
@@ -72,6 +74,7 @@ _WORTH_IT = 0.05  # bits a value; fields that take less are left
 _SAMPLE = 1 << 16
 Values = NDArray[Any]
 Integers = NDArray[np.int64]
+_Way = tuple[int, int, int, int, int, int]  # form, scale, based, void, predictor, period
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,10 @@ class Points:
             return Fired(laser, np.zeros_like(laser), np.zeros(LASERS + 1, np.int64), 1)
         return None if self.sensor is None else fired_by(self.sensor, self.xyz)
 
+    def of_rows(self, values: Values) -> bool:
+        """Whether values ``(N,)`` are of an organised cloud, and wide enough to follow from its columns."""
+        return values.dtype.itemsize >= 2 and self.width > 1 and len(values) % self.width == 0
+
     def around(self, what: int) -> Around | None:
         """What values are blended from; None where it is not known."""
         n, nobody, guide = len(self.void), np.full(2, -1), np.zeros(0, np.int64)
@@ -163,7 +170,7 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
     if told is not None:
         return told
     width = 8 * values.dtype.itemsize
-    best: tuple[int, tuple[int, int, int, int, int, int], Integers] | None = None
+    best: tuple[int, _Way, Integers] | None = None
     for form, scale, based, integers in _forms(values, points, base):
         bits_of = 64 if form == DECIMAL else width
         wrapped = _wrap(integers, bits_of)
@@ -177,17 +184,10 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
                         best = int(found[predictor]), way, wrapped
     assert best is not None
     _, way, integers = best
-    form, _, _, void, predictor, period = way
-    stream = encode_residuals(
-        integers, _flags(points, void), period, predictor, 64 if form == DECIMAL else width
-    )
-    coded = bytes([RESIDUALS]) + _RECORD.pack(*way, len(stream)) + stream
-    symbols = _as_symbols(integers, width)
-    if symbols is not None:
-        for period in points.periods:
-            stream = encode_symbols(symbols, _flags(points, void), period)
-            if len(stream) + 1 + _RECORD.size < len(coded):
-                coded = bytes([SYMBOLS]) + _RECORD.pack(*way[:5], period, len(stream)) + stream
+    coded = _as_residuals(integers, points, way, width)
+    for period in points.periods:
+        other = _as_symbols(integers, points, (*way[:5], period), width)
+        coded = coded if other is None else min(coded, other, key=len)
     if base is not None or len(values) < _FEWEST or 8 * len(coded) < _WORTH_IT * len(values):
         return coded
     for encode in (_encode_by_laser, _encode_columns, _encode_blended):
@@ -195,6 +195,62 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
         coded = coded if other is None else min(coded, other, key=len)
     other = _encode_times(values, points, len(coded))
     return coded if other is None else min(coded, other, key=len)
+
+
+def encode_like(record: bytes, values: Values, points: Points, base: Values | None = None) -> bytes | None:
+    """Encode a field as ``record`` of the scan before has it; None where that cannot be.
+
+    Args:
+        base: as for :func:`encode_field`.
+    """
+    form = record[0]
+    if form in (RESIDUALS, SYMBOLS):
+        return _like_record(form, _RECORD.unpack_from(record, 1)[:6], values, points, base)
+    if form == BY_LASER:
+        return _encode_by_laser(values, points)
+    if form == TIMES:
+        *_, shifted, apart, _, n_delays, _ = _TIMES.unpack_from(record, 1)
+        if points.fired is None:
+            return None
+        start = 1 + _TIMES.size
+        delay = _read_small(points.fired.lasers + 1, record[start : start + n_delays])
+        return _encode_times_as(Clocked(bool(shifted), apart, delay), values, points)
+    if form == COLUMNS:
+        void, _, n_shifts, _ = _COLUMNS.unpack_from(record, 1)
+        if not points.of_rows(values):
+            return None
+        start = 1 + _COLUMNS.size
+        rows = len(values) // points.width
+        return _encode_columns_as(_read_small(rows, record[start : start + n_shifts]), void, values, points)
+    if form == BLENDED:
+        return _encode_blended_as([_BLENDED.unpack_from(record, 1)[0]], values, points)
+    return None
+
+
+def _like_record(form: int, way: _Way, values: Values, points: Points, base: Values | None) -> bytes | None:
+    width = 8 * values.dtype.itemsize
+    for *taken, integers in _forms(values, points, base):
+        if tuple(taken) == way[:3] and way[5] in points.periods:
+            wrapped = _wrap(integers, 64 if way[0] == DECIMAL else width)
+            return (_as_residuals if form == RESIDUALS else _as_symbols)(wrapped, points, way, width)
+    return None
+
+
+def _as_residuals(integers: Integers, points: Points, way: _Way, width: int) -> bytes:
+    form, _, _, void, predictor, period = way
+    stream = encode_residuals(
+        integers, _flags(points, void), period, predictor, 64 if form == DECIMAL else width
+    )
+    return bytes([RESIDUALS]) + _RECORD.pack(*way, len(stream)) + stream
+
+
+def _as_symbols(integers: Integers, points: Points, way: _Way, width: int) -> bytes | None:
+    """None where the integers are no symbols."""
+    symbols = integers & 255 if width == 8 else integers
+    if symbols.min() < 0 or symbols.max() > 255:
+        return None
+    stream = encode_symbols(symbols, _flags(points, way[3]), way[5])
+    return bytes([SYMBOLS]) + _RECORD.pack(*way, len(stream)) + stream
 
 
 def _encode_by_laser(values: Values, points: Points) -> bytes | None:
@@ -220,7 +276,17 @@ def _encode_times(values: Values, points: Points, to_beat: int) -> bytes | None:
     found = find_times(points.fired, spans.low, spans.high, to_beat)
     if found is None:
         return None
-    clocked, stream = found
+    return _times_record(spans, *found)
+
+
+def _encode_times_as(clocked: Clocked, values: Values, points: Points) -> bytes | None:
+    """The same with delays that are known; None where they do not fit."""
+    spans = spans_of(values) if values.dtype.itemsize >= 4 and points.fired is not None else None
+    stream = spans and points.fired and encode_times(points.fired, spans.low, spans.high, clocked)
+    return _times_record(spans, clocked, stream) if spans and stream else None
+
+
+def _times_record(spans: Spans, clocked: Clocked, stream: bytes) -> bytes:
     delays = _small(clocked.delay)
     head = _TIMES.pack(
         spans.form, spans.power, clocked.shifted, clocked.apart, spans.origin, len(delays), len(stream)
@@ -240,24 +306,33 @@ def _encode_told(values: Values, points: Points) -> bytes | None:
 
 def _encode_columns(values: Values, points: Points) -> bytes | None:
     """A field that follows from the column of an organised cloud; None where it is none."""
-    if values.dtype.itemsize < 2 or points.width < 2 or len(values) % points.width:
+    if not points.of_rows(values):
         return None
     bits = to_bits(values)
-    origin = int(bits[0])
-    integers = bits - origin
-    shifts = find_shifts(integers, points.void, points.width)
+    shifts = find_shifts(bits - bits[0], points.void, points.width)
+    kinds = (0, 1) if points.void.any() else (0,)
+    coded = [_encode_columns_as(shifts, void, values, points) for void in kinds]
+    return min((one for one in coded if one is not None), key=len, default=None)
+
+
+def _encode_columns_as(shifts: Integers, void: int, values: Values, points: Points) -> bytes | None:
+    """The same with shifts that are known; None where values differ too much."""
+    bits = to_bits(values)
     told = _small(shifts)
-    coded = []
-    for void in (0, 1) if points.void.any() else (0,):
-        stream = encode_columns(integers, _flags(points, void), points.width, shifts)
-        if stream is not None:
-            head = _COLUMNS.pack(void, origin, len(told), len(stream))
-            coded.append(bytes([COLUMNS]) + head + told + stream)
-    return min(coded, key=len, default=None)
+    stream = encode_columns(bits - bits[0], _flags(points, void), points.width, shifts)
+    if stream is None:
+        return None
+    return bytes([COLUMNS]) + _COLUMNS.pack(void, int(bits[0]), len(told), len(stream)) + told + stream
 
 
 def _encode_blended(values: Values, points: Points) -> bytes | None:
     """A field that looks like a picture; None where its values are no whole numbers, or too large."""
+    ways = [_ROWS] * (points.width > 1) + [_FIRED] * points.on_lattice or [_LISTED]
+    return _encode_blended_as([*ways, *(way + _GUIDED for way in ways)], values, points)
+
+
+def _encode_blended_as(ways: list[int], values: Values, points: Points) -> bytes | None:
+    """The same by the best of these neighbourhoods."""
     if values.dtype.kind != "f":
         form, scale, integers = BITS, 0, values.astype(np.int64)
     else:
@@ -268,8 +343,7 @@ def _encode_blended(values: Values, points: Points) -> bytes | None:
     if integers.min() <= -MOST or integers.max() >= MOST:
         return None
     coded = []
-    ways = [_ROWS] * (points.width > 1) + [_FIRED] * points.on_lattice or [_LISTED]
-    for what in [*ways, *(way + _GUIDED for way in ways)]:
+    for what in ways:
         around = points.around(what)
         if around is not None:
             stream = encode_blended(integers, around)
@@ -439,12 +513,6 @@ def _base(kind: np.dtype[Any], form: int, points: Points, base: Values | None) -
 
 def _flags(points: Points, void: int) -> NDArray[np.bool_]:
     return points.void if void else np.zeros(len(points.void), np.bool_)
-
-
-def _as_symbols(integers: Integers, width: int) -> Integers | None:
-    if width == 8:
-        return integers & 255
-    return integers if integers.min() >= 0 and integers.max() < 256 else None
 
 
 def _wrap(integers: Integers, width: int) -> Integers:

@@ -30,7 +30,7 @@ _ROUNDS = 6
 _LARGEST = (1 << 39) - 1  # difference that a number holds
 _CLOCK_BITS = 64
 _SAME = (0.3, 2.0, 1e9)  # of the ticks from firing to firing; the last: only lasers tell firings
-_TRIED, _FINALISTS = 1 << 13, 2  # points, ways
+_TRIED, _FITTED, _FINALISTS = 1 << 13, 1 << 15, 2  # points, ways
 _NEAR = 1.1  # of the shortest trial; others are no finalists
 _HOPELESS = 1.5  # of the bits a point that are to be beaten, in a trial
 _STEPS = 6  # of the clock from firing to firing that are remembered
@@ -241,8 +241,8 @@ def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked
 
     None where that cannot be, or where trials say that it takes more than the bytes ``to_beat`` by far.
     """
-    part = slice(0, _TRIED)
-    few = Fired(fired.laser[part], fired.tick[part], fired.shift, fired.ticks)
+    few, more = _first(fired, _TRIED), _first(fired, _FITTED)
+    part, fitted = slice(0, _TRIED), slice(0, _FITTED)
     tried: list[tuple[int, Clocked]] = []
     for shifted in (True, False) if fired.shift.any() else (False,):
         phase = _phase(fired, shifted)[fired.laser < fired.lasers]
@@ -262,11 +262,15 @@ def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked
     for size, early in tried[:_FINALISTS]:
         if size > _NEAR * tried[0][0]:
             break
-        for way in (early, _fitted(early, fired, low, high)):  # early times are rounded least
+        for way in (early, _fitted(early, more, low[fitted], high[fitted])):  # early times are rounded least
             coded = encode_times(fired, low, high, way)
             if coded is not None and (best is None or len(coded) < len(best[1])):
                 best = way, coded
     return best
+
+
+def _first(fired: Fired, n: int) -> Fired:
+    return replace(fired, laser=fired.laser[:n], tick=fired.tick[:n])
 
 
 def _fitted(way: Clocked, fired: Fired, low: I64, high: I64) -> Clocked:

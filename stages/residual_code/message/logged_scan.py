@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import intensity_of
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode_cloud, points_of
 from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
+from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.strays.timeline import Timeline
 
 _REFLECTIVITY = "reflectivity"
+_INTENSITY = "/intensity"  # no field of a message is called so
 
 
 def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
@@ -30,15 +33,20 @@ def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
     return levels is None or len(sweep.laser) == 0 or sweep.cloud.layout.slots[3] is None
 
 
-def encode_intensity(sweep: Sweep, sensor: SensorModel, told: Timeline | None = None) -> bytes:
+def known_of(sweep: Sweep, sensor: SensorModel, told: Timeline | None = None) -> tuple[Scan, Points]:
+    """Return the scan of a logged sweep, and what its fields are predicted from; ``told``: by the points' own stream."""
+    assert sweep.cloud is not None
+    scan = sweep_to_scan(sweep, sensor)
+    return scan, points_of(scan.points, sweep.cloud, sensor, told)
+
+
+def encode_intensity(sweep: Sweep, known: tuple[Scan, Points], modes: FieldModes) -> bytes:
     """Encode float32 intensities as a field; nothing where they are in the cloud anyway."""
     assert sweep.cloud is not None
     if sweep.cloud.layout.slots[3] is None:
         return b""
-    scan = sweep_to_scan(sweep, sensor)
-    return encode_field(
-        scan.intensity, _guided(points_of(scan.points, sweep.cloud, sensor, told), sweep.cloud)
-    )
+    scan, points = known
+    return modes.encode((sweep.cloud.topic, _INTENSITY), scan.intensity, _guided(points, sweep.cloud))
 
 
 def _guided(points: Points, cloud: Cloud) -> Points:
@@ -48,12 +56,12 @@ def _guided(points: Points, cloud: Cloud) -> Points:
 
 
 def encode_logged(
-    sweep: Sweep, sensor: SensorModel, before: bytearray, told: Timeline | None = None
+    sweep: Sweep, known: tuple[Scan, Points], before: bytearray, modes: FieldModes
 ) -> tuple[bytes, Sweep]:
-    """Encode the cloud of a sweep; return the stream, and the sweep as it will be decoded; ``told``: by the points' own stream."""
+    """Encode the cloud of a sweep; return the stream, and the sweep as it will be decoded."""
     assert sweep.cloud is not None
-    points = sweep_to_scan(sweep, sensor).points
-    stream, cloud = encode_cloud(sweep.cloud, points, sweep.max_error == 0, before, sensor, told)
+    scan, points = known
+    stream, cloud = encode_cloud(sweep.cloud, scan.points, sweep.max_error == 0, before, points, modes)
     return stream, replace(sweep, cloud=cloud)
 
 

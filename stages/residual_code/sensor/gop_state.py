@@ -14,8 +14,10 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
 from salpcc.stages.predict.learned.shipped import EFFORTS, load_models
 from salpcc.stages.residual_code import class_coder
+from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.value_models import ValueModels, value_models
+from salpcc.stages.strays.ray_coder import Layout
 
 
 @dataclass
@@ -36,10 +38,12 @@ class GopState:
     ulp: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
     classes: NDArray[np.uint16] = field(default_factory=lambda: new_bits(class_coder.CONTEXTS))
     envelope: bytearray = field(default_factory=bytearray)  # of the recorded message before
+    fields: FieldModes = field(default_factory=FieldModes)  # of recorded messages; an encoder's business only
     before: Sweep | None = None  # the scan decoded last
-    timeless: int = (
-        0  # scans in a row whose points did not follow from their times; an encoder's business only
-    )
+    # An encoder's business only: layouts of lists of points by topic, with the bytes a point that they took, and scans in a row
+    # whose points did not follow from their times.
+    layouts: dict[str, tuple[Layout, float]] = field(default_factory=dict)
+    timeless: int = 0
     _values: dict[str, ValueModels] = field(default_factory=dict)
 
     def values(self, effort: str) -> ValueModels:

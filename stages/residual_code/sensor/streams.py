@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.prediction import Prediction
+from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
@@ -27,6 +28,7 @@ from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message import logged_scan
+from salpcc.stages.residual_code.message.field_coder import Points
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER, Header
@@ -38,6 +40,7 @@ from salpcc.stages.strays.timeline import Timeline
 
 Data = NDArray[np.uint8]
 _LENGTH = struct.Struct("<I")
+_MORE = 1.05  # times as many bytes a point as when the layout of a list was searched for; then it is again
 _PATIENCE = 2  # scans of a group whose points are sought by their times in vain: a search takes seconds
 
 
@@ -77,6 +80,10 @@ class Encoding:
             return self.sweep
         return alone(self.sweep, movable_mask(self.static, self.sweep, self.sensor))
 
+    @property
+    def topic(self) -> str:
+        return "" if self.sweep.cloud is None else self.sweep.cloud.topic
+
     @cached_property
     def strays(self) -> Plan:
         """How the strays are coded."""
@@ -89,10 +96,18 @@ class Encoding:
         times = None
         if sweep.cloud is not None and len(sweep.laser) == 0 and self.state.timeless < _PATIENCE:
             times = times_of(self.listed.cloud)  # type: ignore[arg-type]
-        found = plan(sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved, lanes=lanes, times=times)
+        found = plan(
+            sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
+            lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],
+        )  # fmt: skip
         if times is not None:
             self.state.timeless = 0 if found.coded is not None else self.state.timeless + 1
         return found
+
+    @cached_property
+    def logged(self) -> tuple[Scan, Points]:
+        """The message's scan, and what its fields are predicted from."""
+        return logged_scan.known_of(self.listed, self.sensor, self.strays.told)
 
     @cached_property
     def levels(self) -> NDArray[np.uint8] | None:
@@ -247,7 +262,17 @@ def _corrections(
 
 
 def _encode_strays(scan: Encoding) -> bytes:
-    return encode_strays(scan.sweep.stray_index, scan.strays)
+    index, layouts = scan.sweep.stray_index, scan.state.layouts
+    stream = encode_strays(index, scan.strays)
+    if len(scan.sweep.laser) or not len(index):  # not all points of a scan, in their order
+        return stream
+    if scan.topic in layouts:
+        if len(stream) <= _MORE * layouts[scan.topic][1] * len(index):
+            return stream
+        del layouts[scan.topic], scan.strays
+        stream = encode_strays(index, scan.strays)
+    layouts[scan.topic] = scan.strays.layout, len(stream) / len(index)
+    return stream
 
 
 def _decode_strays(scan: Decoding, stream: bytes) -> None:
@@ -272,7 +297,7 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
 def _encode_intensity(scan: Encoding) -> bytes:
     if scan.intensity_is_field:
         scan.flags |= FLOAT_INTENSITY
-        return logged_scan.encode_intensity(scan.listed, scan.sensor, scan.strays.told)
+        return logged_scan.encode_intensity(scan.listed, scan.logged, scan.state.fields)
     if scan.levels is None:
         scan.flags |= FLOAT_INTENSITY
         floats = scan.sweep.intensity
@@ -344,7 +369,7 @@ def _encode_cloud(scan: Encoding) -> bytes:
         return b""
     scan.flags |= CLOUD
     stream, listed = logged_scan.encode_logged(
-        scan.listed, scan.sensor, scan.state.envelope, scan.strays.told
+        scan.listed, scan.logged, scan.state.envelope, scan.state.fields
     )
     scan.sweep = replace(scan.sweep, cloud=listed.cloud)
     return stream
