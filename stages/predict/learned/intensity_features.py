@@ -9,6 +9,8 @@ of the one above that. Lanes 20 to 23 are returns of the ring below, 24 to 26 th
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,6 +60,30 @@ I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
 
+class RingBeside(NamedTuple):
+    """A ring above or below as the returns of the current one see it; meaningless where ``there`` is not.
+
+    Attributes:
+        frame, inverse, intensity: ``(size,)`` azimuths in ticks in the frame of the current laser, inverse ranges, 0..100.
+        near: ``(size,)`` by return of the current ring, its return before that.
+        there: whether it has returns.
+    """
+
+    frame: F32
+    inverse: F32
+    intensity: F32
+    near: I32
+    there: bool
+
+
+class Slots(NamedTuple):
+    """What :func:`slot_places` and :func:`ring_gaps` make of a ring: twice ``(LEFT + 1, 32)``, and ``(size, GAPS)``."""
+
+    places: F32
+    there: F32
+    gaps: I16
+
+
 @inline
 def slot_places(has1: bool, has2: bool, below: bool, places: F32, there: F32) -> None:
     """Fill ``(LEFT + 1, 32)`` weights of the slots by how many returns there are to the left, before nearness.
@@ -83,52 +109,54 @@ def slot_places(has1: bool, has2: bool, below: bool, places: F32, there: F32) ->
 
 
 @inline
-def ring_gaps(m: int, azimuth: F32, frame1: F32, index1: I32, has1: bool, has2: bool, gaps: I16) -> None:
+def ring_gaps(m: int, azimuth: F32, above: RingBeside, second: bool, gaps: I16) -> None:
     """Fill the features of all ``m`` returns of a ring that depend on azimuths only, ``gaps`` (m, GAPS)."""
     for i in range(m):
         c = PAD + i
         a = azimuth[c]
         before = (a - azimuth[c - 1]) * _HALF - _ONE if i > 0 else _GAP
         after = (azimuth[c + 1] - a) * _HALF - _ONE if i + 1 < m else _GAP
-        j1 = index1[i]
-        left = (a - frame1[j1]) * _HALF if has1 else _GAP
-        right = (frame1[j1 + 1] - a) * _HALF if has1 else _GAP
+        j1 = above.near[i]
+        left = (a - above.frame[j1]) * _HALF if above.there else _GAP
+        right = (above.frame[j1 + 1] - a) * _HALF if above.there else _GAP
         x = squash(of(before, after, left, right, _ZERO, _ZERO, _ZERO, _ZERO))
-        there = of(_ONE if has1 else _ZERO, _ONE if has2 else _ZERO)
+        there = of(_ONE if above.there else _ZERO, _ONE if second else _ZERO)
         store(gaps, i * GAPS, rounded(splice(x, join(join(there, there), join(there, there)), 4)))
 
 
 @inline
 def intensity_features(  # type: ignore[no-untyped-def]
-    i, azimuth, inverse, left, frame1, inverse1, intensity1, index1, has1, inverse2, intensity2, index2, inverse3,
-    index3, quotient, activity, places, there, gaps, x,
-):  # fmt: skip
+    i, azimuth, inverse, left, first, second, below, quotient, activity, slots, x
+):
     """Fill the inputs ``x`` (END,); return the two nearest intensities (left, above) and the local mean.
 
-    ``left`` are eight lanes of intensities to the left, the nearest last; 1 and 2 the rings above, 3 the ring
-    below (ranges only). ``places``, ``there`` and ``gaps`` are what :func:`slot_places` and :func:`ring_gaps` made.
+    ``left`` are eight lanes of intensities to the left, the nearest last; ``first``, ``second`` and ``below`` are
+    :class:`RingBeside`, of the one below only ranges; ``slots`` :class:`Slots`.
     """
     c = PAD + i
     w0 = inverse[c]
     per_w = quotient / (w0 * w0) * _UNIT
     n_left = min(i, LEFT)
-    j1, j2 = index1[i], index2[i]
-    upper, second = j1 - 3, j2 - 1
+    j1, j2 = first.near[i], second.near[i]
+    upper, top = j1 - 3, j2 - 1
     around = join(
-        join(load(inverse, c - 8, 8), load(inverse1, upper, 8)),
-        join(splice(load(inverse2, second, 8), load(inverse3, index3[i] - 5, 8), 4), load(inverse, c + 1, 8)),
+        join(load(inverse, c - 8, 8), load(first.inverse, upper, 8)),
+        join(
+            splice(load(second.inverse, top, 8), load(below.inverse, below.near[i] - 5, 8), 4),
+            load(inverse, c + 1, 8),
+        ),
     )
-    known = load(there, n_left * 32, 32) > _ZERO
+    known = load(slots.there, n_left * 32, 32) > _ZERO
     off = choose(known, (around - w0) * per_w, spread(_GAP, 32))
-    above = join(load(intensity2, second, 8), spread(NONE, 8))
-    value = choose(known, join(join(left, load(intensity1, upper, 8)), above), spread(NONE, 32))
+    above = join(load(second.intensity, top, 8), spread(NONE, 8))
+    value = choose(known, join(join(left, load(first.intensity, upper, 8)), above), spread(NONE, 32))
     q = off * _HALF
-    weight = load(places, n_left * 32, 32) / (q * q + _ONE)
+    weight = load(slots.places, n_left * 32, 32) / (q * q + _ONE)
     total = summed(_LITTLE, weight, 2, 20)
     mean = summed(_LITTLE * NONE, weight * value, 2, 20) / total
     apart = summed(_ZERO, weight * size(value - mean), 2, 20) / total
     store(x, _RANGES, rounded(squash(off)))
-    store(x, _GAPS, load(gaps, i * GAPS, GAPS))
+    store(x, _GAPS, load(slots.gaps, i * GAPS, GAPS))
     store(x, _VALUES, rounded(value * _PER_STEP))
     rest = of(
         mean * _PER_STEP, apart * _PER_STEP * _TWO, activity * _PER_STEP * _TWO, np.sqrt(_ONE / w0) * _HALF,
@@ -136,6 +164,6 @@ def intensity_features(  # type: ignore[no-untyped-def]
     )  # fmt: skip
     store(x, _REST, rounded(rest))
     nearest = lane(value, 11)
-    if has1 and frame1[j1 + 1] - azimuth[c] < azimuth[c] - frame1[j1]:
+    if first.there and first.frame[j1 + 1] - azimuth[c] < azimuth[c] - first.frame[j1]:
         nearest = lane(value, 12)
     return int(lane(value, 7)), int(nearest), mean

@@ -7,11 +7,15 @@ one below.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.predict.learned import intensity_features as intensities
 from salpcc.stages.predict.learned import range_features as features
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.learned.range_features import NO_ERROR, rounded, squash
 from salpcc.stages.predict.learned.range_features import PREDICTORS as OF_SWEEP
 from salpcc.stages.predict.learned.vectors import (
@@ -28,6 +32,7 @@ from salpcc.stages.predict.learned.vectors import (
     store,
     summed,
 )
+from salpcc.stages.predict.ring_rows import PAD, align
 
 OWN, NEXT = 6, 4
 SLOTS = OWN + 2 * NEXT
@@ -57,6 +62,46 @@ F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
 
+class Seen(NamedTuple):
+    """The rows k - 1, k, k + 1 of the sweep before, aligned with a ring k.
+
+    Attributes:
+        frames: ``(3, size)`` azimuths of their points in the frame of the ring, in ticks.
+        indices: ``(3, returns)`` of the point before each return of the ring.
+        there: ``(LANES,)`` 1 for the slots of rows that have points (:func:`slots_there`).
+        weights, values: ``(LANES,)`` scratch.
+    """
+
+    frames: F32
+    indices: I32
+    there: F32
+    weights: F32
+    values: F32
+
+
+@njit(error_model="numpy")
+def see(before: WarpedSweep, returns: int) -> Seen:
+    """Make room for :class:`Seen` of rings of at most so many returns."""
+    return Seen(
+        np.zeros((3, before.azimuth.shape[1]), np.float32),
+        np.full((3, returns), PAD, np.int32),
+        np.zeros(LANES, np.float32),
+        np.zeros(LANES, np.float32),
+        np.zeros(LANES, np.float32),
+    )
+
+
+@njit(error_model="numpy", nogil=True)
+def align_seen(k, before, azimuth, m, lever, seen, unused):  # type: ignore[no-untyped-def]
+    """Align the rows around ring k with its ``m`` returns at ``azimuth``, of a laser with that lever arm."""
+    for r in range(max(k - 1, 0), min(k + 2, len(before.number))):
+        if before.number[r] > 0:
+            align(
+                before.azimuth[r], before.inverse[r], before.number[r], -lever, azimuth, m,
+                seen.frames[r - k + 1], seen.indices[r - k + 1], unused,
+            )  # fmt: skip
+
+
 @inline
 def slots_there(k: int, number: NDArray[np.int64], there: F32) -> None:
     """Mark with 1 the slots, ``(LANES,)``, of the rows around ring k that have points."""
@@ -78,34 +123,35 @@ def _slots(i, k, rows, indices):  # type: ignore[no-untyped-def]
 
 
 @inline
-def gather(i, k, a, frames, indices, there, inverse, height, intensity, cone):  # type: ignore[no-untyped-def]
+def gather(i, k, a, before, seen):  # type: ignore[no-untyped-def]
     """Return U, V, inverse range, weight and intensity of the points around return i of ring k, at azimuth a.
 
-    U in firings (two ticks), V in rows; weight 0 where there is no point. ``frames`` and ``indices``
-    are the rows k - 1, k, k + 1, aligned; ``cone`` that of ring k.
+    U in firings (two ticks), V in rows; weight 0 where there is no point. ``before`` is a :class:`.previous_sweep.WarpedSweep`,
+    ``seen`` a :class:`Seen`.
     """
-    some = load(there, 0, 16) > _ZERO
+    some = load(seen.there, 0, 16) > _ZERO
     nothing = spread(_ZERO, 16)
-    w = choose(some, _slots(i, k, inverse, indices), spread(_ONE, 16))
-    u = choose(some, (_slots(i, 1, frames, indices) - a) * _HALF, nothing)
-    v = choose(some, (_slots(i, k, height, indices) - w * cone[0] - cone[1]) * cone[2], nothing)
-    value = choose(some, _slots(i, k, intensity, indices), spread(intensities.NONE, 16))
+    cone = before.cones[k]
+    w = choose(some, _slots(i, k, before.inverse, seen.indices), spread(_ONE, 16))
+    u = choose(some, (_slots(i, 1, seen.frames, seen.indices) - a) * _HALF, nothing)
+    v = choose(some, (_slots(i, k, before.height, seen.indices) - w * cone[0] - cone[1]) * cone[2], nothing)
+    value = choose(some, _slots(i, k, before.intensity, seen.indices), spread(intensities.NONE, 16))
     q = u * u + v * v * _ROW + _SPREAD
     return u, v, w, choose(some, _ONE / (q * q), nothing), value
 
 
 @inline
 def previous_features(  # type: ignore[no-untyped-def]
-    w1, tight, slope_u, slope_v, base, quotient, offset, slots, before, error0, error1, j1, has1, x, counts
+    w1, tight, slope_u, slope_v, base, laser, slots, before, error0, above, j1, x, counts
 ):
     """Fill the inputs ``x`` from features.END on; return ``counts`` with PREDICTORS more of its lanes filled.
 
     Residuals are those of the slots to the base plane of :func:`features.point_features`, in units of 16 counts. The
     predictors: the base plane moved by the residuals' mean, weighted by nearness; the same, robust; the first,
-    moved by its own error at the return to the left, ``before``.
+    moved by its own error at the return to the left, ``before``. ``above`` is the ring above, ``j1`` its return there.
     """
     u, v, w, weight, _ = slots
-    per_w = quotient / (base * base) * _UNIT
+    per_w = laser.quotient / (base * base) * _UNIT
     some = weight > _ZERO
     r = choose(some, ((w - w1) - ((v * slope_v + tight) + u * slope_u)) * per_w, spread(_ZERO, 16))
     q = r * r + _ONE
@@ -117,8 +163,8 @@ def previous_features(  # type: ignore[no-untyped-def]
     apart = summed(_ZERO, weight * size(r - near), 0, 14)
     centre = lane(counts, OF_SWEEP - 1)
     slope = _ONE / per_w
-    first = quotient / min(max(base + near * slope, _FAR), _NEAR) - offset
-    second = quotient / min(max(base + robust_near * slope, _FAR), _NEAR) - offset
+    first = laser.quotient / min(max(base + near * slope, _FAR), _NEAR) - laser.offset
+    second = laser.quotient / min(max(base + robust_near * slope, _FAR), _NEAR) - laser.offset
     own = lane(weight, NEXT) > _ZERO
     store(x, _RESIDUALS, rounded(squash(r)))
     others = of(
@@ -132,11 +178,11 @@ def previous_features(  # type: ignore[no-untyped-def]
         apart / total,
     )
     store(x, _OFFSETS, rounded(squash(others)))
-    above = spread(NO_ERROR, 16)
-    if has1:
-        above = (load(error1, j1 * 16, 16) + load(error1, j1 * 16 + 16, 16)) * _HALF
+    over = spread(NO_ERROR, 16)
+    if above.there:
+        over = (load(above.error, j1 * 16, 16) + load(above.error, j1 * 16 + 16, 16)) * _HALF
     rest = of(
-        lane(error0, 10), lane(error0, 11), lane(error0, 12), lane(above, 10), lane(above, 11), lane(above, 12),
+        lane(error0, 10), lane(error0, 11), lane(error0, 12), lane(over, 10), lane(over, 11), lane(over, 12),
         total / (total + _ONE), robust_total / (total + _ONE), _ONE if own else _ZERO,
         _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO,
     )  # fmt: skip
@@ -149,8 +195,8 @@ def previous_features(  # type: ignore[no-untyped-def]
 
 
 @inline
-def previous_intensity(w0, quotient, slots, weights, values, activity, bias, x):  # type: ignore[no-untyped-def]
-    """Fill the inputs ``x`` from intensity_features.END on; ``weights`` and ``values`` are scratch, (LANES,).
+def previous_intensity(w0, quotient, slots, seen, activity, bias, x):  # type: ignore[no-untyped-def]
+    """Fill the inputs ``x`` from intensity_features.END on; of ``seen``, weights and values are scratch.
 
     Returns the intensity of the nearest slot, in azimuth, elevation and range together, and the
     weighted mean.
@@ -160,13 +206,13 @@ def previous_intensity(w0, quotient, slots, weights, values, activity, bias, x):
     r = (w - w0) * per_w
     q = r * _HALF
     weight = weight / (q * q + _ONE)
-    store(weights, 0, weight)
-    store(values, 0, value)
+    store(seen.weights, 0, weight)
+    store(seen.values, 0, value)
     most, best = _ZERO, NO_VALUE
     for s in range(SLOTS):
-        if weights[s] > most:
-            most = weights[s]
-            best = int(values[s])
+        if seen.weights[s] > most:
+            most = seen.weights[s]
+            best = int(seen.values[s])
     total = summed(_LITTLE, weight, 0, 14)
     mean = summed(_LITTLE * intensities.NONE, weight * value, 0, 14) / total
     apart = summed(_ZERO, weight * size(value - mean), 0, 14)
@@ -174,7 +220,7 @@ def previous_intensity(w0, quotient, slots, weights, values, activity, bias, x):
     shown = pick(value, 1, 2, 5, 6, 7, 8, 11, 12) * _PER_STEP
     rest = of(
         mean * _PER_STEP, apart / total * _PER_STEP * _TWO, activity * _PER_STEP * _TWO, bias * _PER_STEP * _TWO,
-        total / (total + _ONE), _ONE if weights[NEXT] > _ZERO else _ZERO, most / (most + _ONE), _ZERO,
+        total / (total + _ONE), _ONE if seen.weights[NEXT] > _ZERO else _ZERO, most / (most + _ONE), _ZERO,
     )  # fmt: skip
     store(x, intensities.END, rounded(squash(near)))
     store(x, intensities.END + 8, rounded(shown))

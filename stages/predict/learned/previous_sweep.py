@@ -8,8 +8,7 @@ a row: several depths at an occlusion stand side by side. Decoders repeat this: 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -29,14 +28,13 @@ UNKNOWN_INTENSITY = 25
 F32 = NDArray[np.float32]
 
 
-@dataclass(frozen=True, eq=False)
-class WarpedSweep:
-    """A sweep as another one sees it, in rows like rings, each at ``[PAD, PAD + number)``, margins cyclic.
+class WarpedSweep(NamedTuple):
+    """A sweep as another one sees it, in rows like rings, each at ``[PAD, PAD + number)``, margins cyclic; kernels take it.
 
     Attributes:
         number: ``(L,)`` int64 points of each row.
         azimuth: ``(L, size)`` in ticks, without lever arm, rising; inverse: 1 / rho', 1/m; height: z / rho';
-        intensity: hundredths.
+        intensity: hundredths; cones: of the sensor, see :func:`cones`.
     """
 
     number: NDArray[np.int64]
@@ -44,10 +42,7 @@ class WarpedSweep:
     inverse: F32
     height: F32
     intensity: F32
-
-    def arrays(self) -> tuple[NDArray[np.int64], F32, F32, F32, F32]:
-        """All arrays in the order the kernels take them."""
-        return self.number, self.azimuth, self.inverse, self.height, self.intensity
+    cones: F32
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -141,19 +136,14 @@ def cones(sensor: SensorModel) -> F32:
     return _cones(sensor.parameters)
 
 
-def given(before: WarpedSweep | None, sensor: SensorModel) -> tuple[Any, Any]:
-    """Return what the walks take of the sweep before: its arrays and the cones, or None twice."""
-    return (None, None) if before is None else (before.arrays(), cones(sensor))
-
-
 def warp(before: Sweep | None, motion: NDArray[np.float64] | None, sensor: SensorModel) -> WarpedSweep:
     """Move the returns of the sweep before into the lattice of a sweep compensated with ``motion``.
 
     Without a sweep before, or where one of the two motions is not known, the rows are empty.
     """
     if before is None or before.motion is None or motion is None:
-        empty = np.zeros((4, sensor.n_lasers, 2 * PAD + SLACK), np.float32)
-        return WarpedSweep(np.zeros(sensor.n_lasers, np.int64), *empty)
+        none = np.zeros((sensor.n_lasers, 2 * PAD + SLACK), np.float32)
+        return WarpedSweep(np.zeros(sensor.n_lasers, np.int64), none, none, none, none, cones(sensor))
     middles = before.count.astype(np.float64) * before.step + (before.step - 1) / 2
     values = intensity_levels(before.intensity)
     if values is None:
@@ -164,4 +154,4 @@ def warp(before: Sweep | None, motion: NDArray[np.float64] | None, sensor: Senso
     # Bits of floats that are not negative rise with them.
     order = np.argsort(row << 32 | seen[0].view(np.int32), kind="stable")
     number, rows = _rows(order[np.searchsorted(row[order], 0) :], row, seen, values, sensor.n_lasers)
-    return WarpedSweep(number, *rows)
+    return WarpedSweep(number, rows[0], rows[1], rows[2], rows[3], cones(sensor))

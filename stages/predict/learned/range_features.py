@@ -11,6 +11,8 @@ a fixed order: the same bits on every machine (docs/sensor_lattice.md, section 4
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,6 +74,43 @@ I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
 
+class RingAbove(NamedTuple):
+    """A ring above as the returns of the current one see it; meaningless where ``there`` is not.
+
+    Attributes:
+        frame, inverse: ``(size,)`` azimuths in ticks in the frame of the current laser, inverse ranges.
+        error: ``(size, 16)`` squashed errors of the predictors at its returns.
+        near, value: ``(size,)`` by return of the current ring: its return before that, its inverse range there.
+        there: whether it has returns.
+    """
+
+    frame: F32
+    inverse: F32
+    error: F32
+    near: I32
+    value: F32
+    there: bool
+
+
+class Laser(NamedTuple):
+    """What is the same for all returns of a ring: ``quotient / w - offset`` are counts, ``step`` the feature of the step.
+
+    ``height2`` is the elevation step to the ring above the one above, in units of that to the one above.
+    """
+
+    quotient: np.float32
+    offset: np.float32
+    height2: np.float32
+    step: np.float32
+
+
+class Slots(NamedTuple):
+    """What :func:`slot_places` and :func:`ring_gaps` make of a ring: ``(LEFT + 1, 32)`` and ``(size, GAPS)``."""
+
+    places: F32
+    gaps: I16
+
+
 @inline
 def squash(x: Lanes) -> Lanes:
     """Compress: odd, linear near 0, growing like the fourth root."""
@@ -100,17 +139,7 @@ def slot_places(has1: bool, has2: bool, places: F32) -> None:
 
 
 @inline
-def ring_gaps(
-    m: int,
-    azimuth: F32,
-    frame1: F32,
-    index1: I32,
-    has1: bool,
-    frame2: F32,
-    index2: I32,
-    has2: bool,
-    gaps: I16,
-) -> None:
+def ring_gaps(m: int, azimuth: F32, above: RingAbove, second: RingAbove, gaps: I16) -> None:
     """Fill the features of all ``m`` returns of a ring that do not depend on ranges, ``gaps`` (m, GAPS)."""
     for i in range(m):
         c = PAD + i
@@ -118,30 +147,26 @@ def ring_gaps(
         before = (a - azimuth[c - 1]) * _HALF - _ONE if i > 0 else _GAP
         after = (azimuth[c + 1] - a) * _HALF - _ONE if i + 1 < m else _ZERO
         then = (azimuth[c + 2] - azimuth[c + 1]) * _HALF - _ONE if i + 2 < m else _ZERO
-        j1, j2 = index1[i], index2[i]
-        left = (a - frame1[j1]) * _HALF if has1 else _GAP
-        right = (frame1[j1 + 1] - a) * _HALF if has1 else _GAP
-        second = (frame2[j2 + 1] - frame2[j2]) * _HALF - _ONE if has2 else _GAP
-        x = squash(of(before, after, left, right, second, then, _ZERO, _ZERO))
-        there = of(_ONE if has1 else _ZERO, _ONE if has2 else _ZERO)
+        j1, j2 = above.near[i], second.near[i]
+        left = (a - above.frame[j1]) * _HALF if above.there else _GAP
+        right = (above.frame[j1 + 1] - a) * _HALF if above.there else _GAP
+        apart = (second.frame[j2 + 1] - second.frame[j2]) * _HALF - _ONE if second.there else _GAP
+        x = squash(of(before, after, left, right, apart, then, _ZERO, _ZERO))
+        there = of(_ONE if above.there else _ZERO, _ONE if second.there else _ZERO)
         store(gaps, i * GAPS, rounded(splice(x, join(join(there, there), join(there, there)), 6)))
 
 
 @inline
-def point_features(  # type: ignore[no-untyped-def]
-    i, azimuth, left, frame1, inverse1, error1, index1, value1, has1, frame2, inverse2, index2, value2, has2,
-    height2, quotient, offset, step, places, gaps, error0, x,
-):  # fmt: skip
+def point_features(i, azimuth, left, first, second, laser, slots, error0, x):  # type: ignore[no-untyped-def]
     """Fill the inputs ``x`` (END,) of return i and return its predictions.
 
-    Rings stand at ``[PAD, PAD + n)``; 1 is the ring above, 2 the one above that. ``height2`` is the
-    second ring's elevation step in units of the first's. ``quotient / w - offset`` are counts.
+    Rings stand at ``[PAD, PAD + n)``.
 
     Args:
         left: eight lanes, inverse ranges of the returns to the left, the nearest last.
-        error0: lanes, the running squashed errors of the predictors to the left; ``error1`` (size, 16) those at each
-            return above.
-        places, gaps: what :func:`slot_places` and :func:`ring_gaps` made.
+        first, second: :class:`RingAbove`, the one above that.
+        laser, slots: :class:`Laser`, :class:`Slots`.
+        error0: lanes, the running squashed errors of the predictors to the left.
 
     Returns:
         w1, the base plane's height over it and slopes, and the base: what :mod:`.previous_features` needs; and the
@@ -152,32 +177,32 @@ def point_features(  # type: ignore[no-untyped-def]
     n_left = min(i, LEFT)
     if i > 0:
         w1 = lane(left, 7)
-    elif has1:
-        w1 = value1[i]
+    elif first.there:
+        w1 = first.value[i]
     else:
         w1 = _START
-    up = value1[i] if has1 else w1
-    second = value2[i] if has2 else up
+    up = first.value[i] if first.there else w1
+    top = second.value[i] if second.there else up
     shift1 = up - w1
-    shift2 = second - w1
-    j1, j2 = index1[i], index2[i]
+    shift2 = top - w1
+    j1, j2 = first.near[i], second.near[i]
     o1, o2 = j1 - UPPER // 2 + 1, j2 - SECOND // 2 + 1
-    u = (around(load(azimuth, c - LEFT, 8), frame1, o1, frame2, o2) - a) * _HALF
-    d = around(left, inverse1, o1, inverse2, o2) - w1
+    u = (around(load(azimuth, c - LEFT, 8), first.frame, o1, second.frame, o2) - a) * _HALF
+    d = around(left, first.inverse, o1, second.inverse, o2) - w1
     uu, ud = u * u, u * d
-    place = load(places, n_left * 32, 32)
+    place = load(slots.places, n_left * 32, 32)
     present = place > _ZERO
     place = place / (uu * _SLOT_DECAY + _ONE)
     noise = _NOISE * w1 * w1
     plane_up, _, _, sum_up = fit_plane(
-        weigh(place, d - shift1, _ONE / (_WIDE_UP * w1 + noise)), u, uu, d, ud, height2
+        weigh(place, d - shift1, _ONE / (_WIDE_UP * w1 + noise)), u, uu, d, ud, laser.height2
     )
     plane_left, slope_u, slope_v, sum_left = fit_plane(
-        weigh(place, d, _ONE / (_WIDE * w1 + noise)), u, uu, d, ud, height2
+        weigh(place, d, _ONE / (_WIDE * w1 + noise)), u, uu, d, ud, laser.height2
     )
-    off = residuals(u, d, height2, plane_left, slope_u, slope_v)
+    off = residuals(u, d, laser.height2, plane_left, slope_u, slope_v)
     tight, slope_u, slope_v, sum_tight = fit_plane(
-        weigh(place, off, _ONE / (_TIGHT * w1 + noise)), u, uu, d, ud, height2
+        weigh(place, off, _ONE / (_TIGHT * w1 + noise)), u, uu, d, ud, laser.height2
     )
     base = min(max(w1 + tight, _FAR), _NEAR)
 
@@ -188,33 +213,33 @@ def point_features(  # type: ignore[no-untyped-def]
         along = w1 - d2 * ((a - azimuth[c - 1]) / span)
     if i >= 4:
         bent = w1 + (d2 - d4) * _HALF
-    if i >= 1 and has1:
-        moved = w1 + (up - value1[i - 1])
-    if i >= 4 and has1:
+    if i >= 1 and first.there:
+        moved = w1 + (up - first.value[i - 1])
+    if i >= 4 and first.there:
         g = (d2 + lane(d, LEFT - 3)) + d4
-        v = (value1[i - 1] + value1[i - 2]) + (value1[i - 3] + value1[i - 4])
+        v = (first.value[i - 1] + first.value[i - 2]) + (first.value[i - 3] + first.value[i - 4])
         mean = w1 + (up + (g - v) * _QUARTER)
-    over = up + (up - second) / max(height2 - _ONE, _QUARTER)
+    over = up + (up - top) / max(laser.height2 - _ONE, _QUARTER)
     guesses = of(
         w1, along, bent, up, moved, over, mean, w1 + plane_up, w1 + plane_left, base, w1, w1, w1, w1, w1, w1
     )  # fmt: skip
-    counts = quotient / larger(smaller(guesses, _NEAR), _FAR) - offset
-    per_w = quotient / (base * base) * _UNIT  # counts fall by quotient / base^2 per unit of w
-    off = residuals(u, d, height2, tight, slope_u, slope_v) * per_w
+    counts = laser.quotient / larger(smaller(guesses, _NEAR), _FAR) - laser.offset
+    per_w = laser.quotient / (base * base) * _UNIT  # counts fall by quotient / base^2 per unit of w
+    off = residuals(u, d, laser.height2, tight, slope_u, slope_v) * per_w
     store(x, _RESIDUALS, rounded(squash(choose(present, off, spread(_ZERO, 32)))))
     others = of(
         _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO,
         slope_u * per_w, slope_v * per_w, shift1 * per_w, shift2 * per_w, _ZERO, _ZERO, _ZERO,
     )  # fmt: skip
     store(x, _OFFSETS, rounded(squash(splice((counts - lane(counts, 9)) * _UNIT, others, 9))))
-    store(x, _GAPS, load(gaps, i * GAPS, GAPS))
+    store(x, _GAPS, load(slots.gaps, i * GAPS, GAPS))
     store(x, _ERRORS, rounded(error0))
     above = spread(NO_ERROR, 16)
-    if has1:
-        above = (load(error1, j1 * 16, 16) + load(error1, j1 * 16 + 16, 16)) * _HALF
+    if first.there:
+        above = (load(first.error, j1 * 16, 16) + load(first.error, j1 * 16 + 16, 16)) * _HALF
     store(x, _ERRORS_ABOVE, rounded(above))
     rest = of(
-        np.float32(n_left) * _EIGHTH, np.sqrt(_ONE / base) * _HALF, np.sqrt(base) * _FOUR, step,
+        np.float32(n_left) * _EIGHTH, np.sqrt(_ONE / base) * _HALF, np.sqrt(base) * _FOUR, laser.step,
         sum_tight * _QUARTER, sum_left * _QUARTER, sum_up * _QUARTER, _ZERO,
     )  # fmt: skip
     store(x, _REST, rounded(rest))

@@ -6,15 +6,13 @@ firing order, coded by :mod:`salpcc.stages.entropy.range_coder`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import (
-    decode_interval,
-    decode_target,
-    start_decoder,
-)
+from salpcc.stages.entropy.range_coder import decode_interval, decode_target
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned.local_plane import LEFT
 from salpcc.stages.predict.learned.mixture import (
@@ -29,82 +27,110 @@ from salpcc.stages.predict.learned.mixture import (
 from salpcc.stages.predict.learned.network import Layers, Network, forward, pack
 from salpcc.stages.predict.learned.previous_features import (
     INPUT_PLACES,
-    LANES,
+    align_seen,
     gather,
     previous_features,
+    see,
     slots_there,
 )
 from salpcc.stages.predict.learned.previous_features import INPUTS as PREVIOUS_INPUTS
 from salpcc.stages.predict.learned.previous_features import PREDICTORS as PREVIOUS_PREDICTORS
-from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, given
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.learned.range_features import (
     GAPS,
     INPUTS,
     NO_ERROR,
     PREDICTORS,
     SCALE_BITS,
+    Laser,
+    RingAbove,
+    Slots,
     point_features,
     ring_gaps,
     slot_places,
     squashed_errors,
 )
 from salpcc.stages.predict.learned.vectors import kernel, lane, load, pick, push, spread, store
+from salpcc.stages.predict.learned.walks import COLLECT, DECODE, NO_ROWS, PREDICT, Rows, to_decode, to_predict
 from salpcc.stages.predict.ring_rows import PAD, align, close_ring, row_size
 from salpcc.stages.predict.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
 
 LEVEL_LIMIT = 1 << 17  # levels of a sweep; a return beyond cannot be coded here
 HEADER = 3
-_NO_KEEP = np.zeros(0, np.bool_)
-_NO_ROWS = (np.zeros((0, 0), np.int16), np.zeros((0, 0), np.float32), np.zeros(0, np.float32))
-PREDICT, DECODE, COLLECT = 0, 1, 2
-_NO_INTERVALS = np.zeros((0, 2), np.uint32)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+
+F32 = NDArray[np.float32]
+
+
+class _Levels(NamedTuple):
+    """The levels ``(M,)`` of a sweep, ``step`` counts each, all below ``number``; ``constants`` of its lasers."""
+
+    level: NDArray[np.int32]
+    step: int
+    number: int
+    constants: F32
+
+
+class _Ring(NamedTuple):
+    """The ring at hand, margins cyclic: ``(size,)`` azimuths, inverse ranges, ``(size, 16)`` squashed errors."""
+
+    azimuth: F32
+    inverse: F32
+    error: F32
+
+
+class _Scratch(NamedTuple):
+    """Room for one return: inputs, hidden values and sums of the network, predictions, and what the mixture needs."""
+
+    x: NDArray[np.int16]
+    hidden: NDArray[np.int16]
+    sums: NDArray[np.int32]
+    predicted: F32
+    mixture: NDArray[np.float64]
+    whole: NDArray[np.int32]
+    parts: NDArray[np.float64]
 
 
 @kernel
-def _ring(  # type: ignore[no-untyped-def]
-    mode, k, lo, m, level, step, levels, constants, layers, intervals, state, data, keep, rows, rows_x, rows_mu, rows_y,
-    here, above, second, places, gaps, height2, scratch, before, seen, cones,
-):  # fmt: skip
+def _walk_ring(  # type: ignore[no-untyped-def]
+    mode, k, lo, m, levels, layers, coded, rows, row, ring, above, second, slots, scratch, before, seen
+):
     """Visit the returns of ring k, ``lo`` to ``lo + m``; return how many rows there are now."""
-    azimuth, inverse, errors = here
-    frame1, inverse1, errors1, index1, value1, has1 = above
-    frame2, inverse2, index2, value2, has2 = second
+    level, step, number, constants = levels
+    azimuth, inverse, errors = ring
     x, h, sums, mu, mixture, whole, parts = scratch
-    quotient, offset = constants[k, 0], constants[k, 1]
-    step_value, middle = np.float32(step_feature(step)), np.float32((step - 1) * 0.5)
+    height2, step_value = np.float32(height_ratio(constants, k)), np.float32(step_feature(step))
+    laser = Laser(constants[k, 0], constants[k, 1], height2, step_value)
+    middle = np.float32((step - 1) * 0.5)
     shift = layers.shifts[len(layers.shifts) - 1] + SCALE_BITS
     left, error0, signed = spread(_ZERO, 8), spread(NO_ERROR, 16), _ZERO
     components = PREDICTORS + len(SHARED)
     if before is not None:
         components += PREVIOUS_PREDICTORS
-        number, _, rows_inverse, rows_height, rows_intensity = before
-        frames, indices, there = seen
-        slots_there(k, number, there)
+        slots_there(k, before.number, seen.there)
     for i in range(m):
         w1, tight, slope_u, slope_v, base, counts = point_features(
-            i, azimuth, left, frame1, inverse1, errors1, index1, value1, has1, frame2, inverse2, index2, value2, has2,
-            height2, quotient, offset, step_value, places, gaps, error0, x,
-        )  # fmt: skip
+            i, azimuth, left, above, second, laser, slots, error0, x
+        )
         if before is None:
             counts = pick(counts, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 0, 0, 0, 0, 0)
         else:
-            slots = gather(
-                i,
-                k,
-                azimuth[PAD + i],
-                frames,
-                indices,
-                there,
-                rows_inverse,
-                rows_height,
-                rows_intensity,
-                cones[k],
-            )
+            around = gather(i, k, azimuth[PAD + i], before, seen)
             counts = previous_features(
-                w1, tight, slope_u, slope_v, base, quotient, offset, slots, signed, error0, errors1,
-                index1[i], has1, x, counts,
-            )  # fmt: skip
+                w1,
+                tight,
+                slope_u,
+                slope_v,
+                base,
+                laser,
+                around,
+                signed,
+                error0,
+                above,
+                above.near[i],
+                x,
+                counts,
+            )
         store(mu, 0, counts)
         value = 0
         if mode == COLLECT:
@@ -116,17 +142,17 @@ def _ring(  # type: ignore[no-untyped-def]
             forward(x, k, layers, h, sums)
             best = set_mixture(sums, shift, mu, components, mixture, whole)
             if mode == DECODE:
-                target = decode_target(state, BITS)
-                value, low, high = find_level(mixture, components, best, target, step, levels, whole, parts)
-                decode_interval(state, data, low, high - low, BITS)
+                target = decode_target(coded.state, BITS)
+                value, low, high = find_level(mixture, components, best, target, step, number, whole, parts)
+                decode_interval(coded.state, coded.data, low, high - low, BITS)
                 level[lo + i] = value
             else:
                 value = int(level[lo + i])
-                low, high = level_ends(mixture, components, value, step, levels, whole, parts)
-                intervals[lo + i, 0] = low
-                intervals[lo + i, 1] = high - low
+                low, high = level_ends(mixture, components, value, step, number, whole, parts)
+                coded.intervals[lo + i, 0] = low
+                coded.intervals[lo + i, 1] = high - low
         actual = np.float32(value * step) + middle
-        w = quotient / max(actual + offset, _ONE)
+        w = laser.quotient / max(actual + laser.offset, _ONE)
         inverse[PAD + i] = w
         left = push(left, w)
         error = squashed_errors(actual, counts)
@@ -134,53 +160,45 @@ def _ring(  # type: ignore[no-untyped-def]
         error0 = (error0 + error) * _HALF
         if before is not None:
             signed = actual - lane(counts, PREDICTORS)
-        if mode == COLLECT and keep[lo + i]:
-            for p in range(rows_x.shape[1]):
-                rows_x[rows, p] = x[INPUT_PLACES[p]]
-            for p in range(rows_mu.shape[1]):
-                rows_mu[rows, p] = mu[p] - mu[PREDICTORS - 1]
-            rows_y[rows] = actual - mu[PREDICTORS - 1]
-            rows += 1
-    return rows
+        if mode == COLLECT and rows.keep[lo + i]:
+            for p in range(rows.inputs.shape[1]):
+                rows.inputs[row, p] = x[INPUT_PLACES[p]]
+            for p in range(rows.beside.shape[1]):
+                rows.beside[row, p] = mu[p] - mu[PREDICTORS - 1]
+            rows.target[row] = actual - mu[PREDICTORS - 1]
+            row += 1
+    return row
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def walk(  # type: ignore[no-untyped-def]
-    mode, starts, tick, level, step, levels, constants, layers, intervals, state, data, keep, rows_x, rows_mu, rows_y,
-    before, cones,
-):  # fmt: skip
-    """Visit every return in firing order: predict ``level``, decode it, or collect rows.
+def walk(mode, starts, tick, levels, layers, coded, rows, before):  # type: ignore[no-untyped-def]
+    """Visit every return in firing order: predict its level, decode it, or collect rows.
 
-    PREDICT fills ``intervals`` with where each level lies in its predicted distribution.
-    COLLECT fills one training row per return with ``keep`` set: features, predictions and the actual
+    PREDICT fills ``coded.intervals`` with where each level lies in its predicted distribution.
+    COLLECT fills one training row per return with ``rows.keep`` set: features, predictions and the actual
     count, both relative to the base, in counts.
 
-    ``before`` are the arrays of a :class:`WarpedSweep`, with ``cones`` of :func:`previous_sweep.cones`, or
-    both None for a network that does not ask for them.
+    ``before`` is a :class:`WarpedSweep`, or None for a network that does not ask for it.
     """
-    if before is None:
-        seen = None
-    else:
-        number, rows_azimuth, rows_inverse, _, _ = before
-        frames = np.zeros((3, rows_azimuth.shape[1]), np.float32)
-        indices = np.full((3, longest_ring(starts)), PAD, np.int32)
-        seen = frames, indices, np.zeros(LANES, np.float32)
-        unused = np.zeros(longest_ring(starts), np.float32)
+    longest = longest_ring(starts)
+    seen = None if before is None else see(before, longest)
+    unused = np.zeros(longest, np.float32)
     size = row_size(starts)
+    constants = levels.constants
     azimuth, inverse = np.zeros((3, size), np.float32), np.zeros((3, size), np.float32)
     error = np.zeros((3, size, 16), np.float32)
     count = np.zeros(3, np.int64)
     frame1, frame2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
     index1, index2 = np.full(size, PAD, np.int32), np.full(size, PAD, np.int32)
     value1, value2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
-    places, gaps = np.zeros((LEFT + 1, 32), np.float32), np.zeros((size, GAPS), np.int16)
+    slots = Slots(np.zeros((LEFT + 1, 32), np.float32), np.zeros((size, GAPS), np.int16))
     width = layers.first.shape[1] >> 1
-    scratch = (
+    scratch = _Scratch(
         np.zeros(layers.first.shape[0] * 2 + 16, np.int16), np.zeros(width, np.int16),
         np.zeros(max(width, layers.last.shape[1] >> 1), np.int32), np.zeros(PLACES, np.float32),
         np.zeros(3 * PLACES), np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES),
     )  # fmt: skip
-    rows = 0
+    row = 0
     for k in range(len(starts) - 1):
         r0, r1, r2 = k % 3, (k + 2) % 3, (k + 1) % 3
         lo = starts[k]
@@ -200,21 +218,31 @@ def walk(  # type: ignore[no-untyped-def]
             arm = constants[k - 2, 4] - lever
             align(azimuth[r2], inverse[r2], count[r2], arm, azimuth[r0], m, frame2, index2, value2)
         if before is not None:
-            for r in range(max(k - 1, 0), min(k + 2, len(number))):
-                if number[r] > 0:
-                    align(
-                        rows_azimuth[r], rows_inverse[r], number[r], -lever, azimuth[r0], m,
-                        frames[r - k + 1], indices[r - k + 1], unused,
-                    )  # fmt: skip
-        slot_places(has1, has2, places)
-        ring_gaps(m, azimuth[r0], frame1, index1, has1, frame2, index2, has2, gaps)
-        rows = _ring(
-            mode, k, lo, m, level, step, levels, constants, layers, intervals, state, data,
-            keep, rows, rows_x, rows_mu, rows_y, (azimuth[r0], inverse[r0], error[r0]),
-            (frame1, inverse[r1], error[r1], index1, value1, has1), (frame2, inverse[r2], index2, value2, has2),
-            places, gaps, np.float32(height_ratio(constants, k)), scratch, before, seen, cones,
-        )  # fmt: skip
-        close_ring(azimuth[r0], inverse[r0], error[r0], m)
+            align_seen(k, before, azimuth[r0], m, lever, seen, unused)
+        above = RingAbove(frame1, inverse[r1], error[r1], index1, value1, has1)
+        second = RingAbove(frame2, inverse[r2], error[r2], index2, value2, has2)
+        slot_places(has1, has2, slots.places)
+        ring_gaps(m, azimuth[r0], above, second, slots.gaps)
+        ring = _Ring(azimuth[r0], inverse[r0], error[r0])
+        row = _walk_ring(
+            mode,
+            k,
+            lo,
+            m,
+            levels,
+            layers,
+            coded,
+            rows,
+            row,
+            ring,
+            above,
+            second,
+            slots,
+            scratch,
+            before,
+            seen,
+        )
+        close_ring(ring.azimuth, ring.inverse, ring.error, m)
 
 
 def _packed(network: Network, before: WarpedSweep | None) -> Layers:
@@ -253,13 +281,10 @@ def predict_ranges(
     levels = count_levels(level)
     if levels > LEVEL_LIMIT or (len(level) and int(level.min()) < 0):
         raise ValueError(f"range levels must lie in 0..{LEVEL_LIMIT - 1}")
-    intervals = np.zeros((len(level), 2), np.uint32)
-    unread = np.zeros(1, np.uint8)
-    walk(
-        PREDICT, starts, tick, level, step, levels, laser_constants(sensor), _packed(network, before), intervals,
-        start_decoder(unread), unread, _NO_KEEP, *_NO_ROWS, *given(before, sensor),
-    )  # fmt: skip
-    return intervals
+    coded = to_predict(len(level))
+    of_sweep = _Levels(level, step, levels, laser_constants(sensor))
+    walk(PREDICT, starts, tick, of_sweep, _packed(network, before), coded, NO_ROWS, before)
+    return coded.intervals
 
 
 def decode_ranges(
@@ -277,13 +302,10 @@ def decode_ranges(
     levels = int.from_bytes(data[:HEADER].tobytes(), "little")
     if len(data) < HEADER or not 1 <= levels <= LEVEL_LIMIT:
         return level, False
-    body = np.ascontiguousarray(data[HEADER:])
-    state = start_decoder(body)
-    walk(
-        DECODE, starts, tick, level, step, levels, laser_constants(sensor), _packed(network, before), _NO_INTERVALS, state,
-        body, _NO_KEEP, *_NO_ROWS, *given(before, sensor),
-    )  # fmt: skip
-    return level, bool(state[3] == 0)
+    coded = to_decode(data[HEADER:])
+    of_sweep = _Levels(level, step, levels, laser_constants(sensor))
+    walk(DECODE, starts, tick, of_sweep, _packed(network, before), coded, NO_ROWS, before)
+    return level, bool(coded.state[3] == 0)
 
 
 def collect_ranges(
@@ -300,10 +322,8 @@ def collect_ranges(
     more = before is not None
     x = np.zeros((n, INPUTS + PREVIOUS_INPUTS * more), np.int16)
     mu = np.zeros((n, PREDICTORS + PREVIOUS_PREDICTORS * more), np.float32)
-    y = np.zeros(n, np.float32)
+    rows = Rows(keep, x, mu, np.zeros(n, np.float32))
     none = _packed(Network.empty(x.shape[1]), before)
-    walk(
-        COLLECT, starts, tick, level, step, 1, laser_constants(sensor), none, _NO_INTERVALS,
-        start_decoder(np.zeros(1, np.uint8)), np.zeros(1, np.uint8), keep, x, mu, y, *given(before, sensor),
-    )  # fmt: skip
-    return x, mu, y
+    of_sweep = _Levels(level, step, 1, laser_constants(sensor))
+    walk(COLLECT, starts, tick, of_sweep, none, to_predict(0), rows, before)
+    return rows.inputs, rows.beside, rows.target
