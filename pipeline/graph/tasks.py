@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,6 +13,7 @@ import pyarrow as pa
 
 from salpcc.pipeline.schedule.isolate import only, run_isolated
 from salpcc.pipeline.schedule.machine import peak_mb
+from salpcc.pipeline.schedule.stopwatch import Stopwatch
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ShardError
@@ -132,15 +132,15 @@ def _work(
 def _timed(stage: str, run: Callable[[bool], pa.Table]) -> tuple[pa.Table, tuple[float, float]]:
     """Run ``run(False)``: its table, and CPU and wall milliseconds without the compilation by numba.
 
-    The first time in a process, ``run(True)`` (two scans only) goes before for nothing, so that all is compiled.
+    The first time in a process, ``run(True)`` (two scans only) goes before for nothing, so that kernels are loaded.
     """
     if stage not in _warm:
         _warm.add(stage)
         with suppress(Exception):  # the real run will say what is wrong
             run(True)
-    cpu, wall = time.thread_time(), time.perf_counter()
-    table = run(False)
-    return table, (1e3 * (time.thread_time() - cpu), 1e3 * (time.perf_counter() - wall))
+    with Stopwatch() as watch:
+        table = run(False)
+    return table, (watch.cpu_ms, watch.wall_ms)
 
 
 def _error(stage: str, gop: GopSource, scan: str, error: Exception) -> ScanError:
