@@ -58,6 +58,16 @@ class Archive(Sequence[Scan]):
     Random access decodes at most one GOP, from its first scan to the one asked for; going on from there
     decodes each scan once. Only the GOP in hand is kept in memory. An archive can be pickled and
     forked: a copy starts with nothing decoded and shares no open file. Arrays of its scans are the caller's own.
+
+    >>> from salpcc import Archive, Scan, encode_scans
+    >>> points = np.arange(6, dtype=np.float32).reshape(2, 3)
+    >>> scans = (Scan(f"{n:06d}", points + n, points[:, 0], time=n * 10**8) for n in range(4))
+    >>> path = encode_scans(scans, folder / "four.mcap", effort="fast", gop=2)
+    >>> with Archive.open(path) as archive:
+    ...     len(archive), archive[2].name, archive["000003"].time, archive.at(90_000_000).name
+    (4, '000002', 300000000, '000001')
+    >>> [scan.points[0, 0].item() for scan in archive[1:]]
+    [1.0, 2.0, 3.0]
     """
 
     def __init__(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pyarrow as pa
 from pydantic import ValidationError
@@ -13,14 +13,14 @@ from pydantic import ValidationError
 from salpcc.pipeline.checked import check_name, checked
 from salpcc.pipeline.decode import decoded_scans
 from salpcc.pipeline.verify import Verdict, compare
-from salpcc.schemas.config import RunConfig
+from salpcc.schemas.config import Coder, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import ArchiveError, KindError, UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import LAYER_COUNTS
 from salpcc.stages.coding import code
-from salpcc.stages.ingest.arrays import is_array, scan_from_arrays
+from salpcc.stages.ingest.arrays import Array, is_array, scan_from_arrays
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive.writer import write_archive
@@ -28,12 +28,26 @@ from salpcc.stages.segment.weights_file import weights_digest, weights_path
 
 
 def encode_scans(
-    scans: Iterable[Scan] | Any,
+    scans: Iterable[Scan] | Array,
     path: str | Path,
     sequence: str = "scans",
     *,
+    intensity: Array | None = None,
     overwrite: bool = False,
-    **options: Any,
+    max_error: float | None = None,
+    movable_max_error: float | None = None,
+    keep_movable: bool = True,
+    drop_movable: bool = False,
+    labels: Labels | Array = "network",
+    classes: bool | Array = False,
+    effort: Effort = "default",
+    gop: int = 8,
+    sensor: str = "hdl64e",
+    profile: Profile = "sensor",
+    coder: Coder = "ppmd",
+    weights: str = "small",
+    several_scans: bool = True,
+    **arrays: Array,
 ) -> Path:
     """Encode scans, or the points of one, to an archive; :class:`~salpcc.pipeline.archive.Archive` gives them back.
 
@@ -42,49 +56,91 @@ def encode_scans(
     appears under its name when all of it is right.
 
     Args:
-        scans: an iterable of them, or an array of points ``(N, 3)``, which goes with ``intensity=`` and any other fields of the
-            points as arrays, such as ``ring=`` (:func:`~salpcc.stages.ingest.arrays.scan_from_arrays`).
+        scans: an iterable of them, or an array of points ``(N, 3)``, which goes with ``intensity`` ``(N,)`` and ``arrays``.
         overwrite: replace a file that is there.
-        options: fields of :class:`~salpcc.schemas.config.RunConfig`, e.g. ``max_error=0.01``. Arrays keep
-            their movable points in one layer unless ``keep_movable=False``. With ``labels="given"`` every scan needs its
-            ``classes``.
+        max_error: metres (3-D) that no point is farther than from its source; None is bit-exact.
+        movable_max_error: of the movable layer; 0 is bit-exact, None as ``max_error``.
+        keep_movable: all in one layer; else what can move has a layer of its own, or is left out (``drop_movable``).
+        labels: what can move is told by the ``network``, or ``given``: every scan has its ``classes``.
+        classes: store those that the network finds; with an array of points, their own.
+        effort: ``fast`` takes less than half the time, ``max`` fewer bits.
+        gop: scans a group, the unit of decoding.
+        sensor: a shipped model, or a JSON file of ``calibrate``.
+        profile: ``paper`` is its 64 x 2000 grid, whose residuals ``coder`` codes.
+        weights: of the network: a shipped width, or a file.
+        several_scans: whether the scans of a group settle their classes together.
+        arrays: any other fields of an array of points, such as ``ring=`` and ``time=``
+            (:func:`~salpcc.stages.ingest.arrays.scan_from_arrays`).
 
     Raises:
         UsageError: an option is wrong, or the file is there.
-        KindError: a scan is no scan, or an array of another kind; a TypeError, too.
+        KindError: an option is of another type or there is none such, a scan is no scan, an array of another kind; a TypeError, too.
         SalpccError: the sensor is unknown, or what was written does not decode to the scans.
 
-    Example::
-
-        scan = Scan("000000", points, intensity)  # float32 (N, 3) in metres, float32 (N,)
-        encode_scans([scan], "mine.mcap", max_error=0.01)
-        encode_scans(points, "other.mcap", intensity=intensity, ring=ring, time=time)
+    >>> import numpy as np
+    >>> from salpcc import Archive, Scan, encode_scans
+    >>> points = np.array([[1, 2, 0.5], [3, 4, 0.5]], np.float32)
+    >>> path = encode_scans(points, folder / "mine.mcap", effort="fast", ring=np.array([7, 8], np.uint8))
+    >>> Archive.open(path)[0].fields["ring"]
+    array([7, 8], dtype=uint8)
+    >>> scans = (Scan(f"{n:06d}", points + n, points[:, 2]) for n in range(9))  # of any length
+    >>> len(Archive.open(encode_scans(scans, folder / "nine.mcap", effort="fast", max_error=0.01)))
+    9
     """
-    arrays = {name: options.pop(name) for name in list(options) if is_array(options[name])}
-    if is_array(scans):
-        scans = [scan_from_arrays(scans, **arrays)]
-    elif arrays:
+    options = {
+        "max_error": max_error,
+        "movable_max_error": movable_max_error,
+        "keep_movable": keep_movable,
+        "drop_movable": drop_movable,
+        "labels": labels,
+        "classes": classes,
+        "effort": effort,
+        "gop": gop,
+        "sensor": sensor,
+        "profile": profile,
+        "coder": coder,
+        "weights": weights,
+        "several_scans": several_scans,
+    }
+    given: dict[str, Any] = {name: value for name, value in arrays.items() if is_array(value)}
+    if unknown := arrays.keys() - given.keys():
+        name = min(unknown)
         raise KindError(
-            f"{', '.join(arrays)}: arrays go with points; of several scans make each by scan_from_arrays(points, …)"
+            f"option {name}: there is none, and {arrays[name]!r} is no array of a field of points"
         )
-    try:
-        config = resolve(RunConfig(**{"keep_movable": True, **options}))
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise UsageError(f"option {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    given |= {name: options.pop(name) for name in list(options) if is_array(options[name])}
+    if is_array(scans):
+        listed: Iterable[Scan] = [scan_from_arrays(scans, intensity, **given)]
+    elif given or intensity is not None:
+        names = ", ".join([*(["intensity"] if intensity is not None else []), *given])
+        raise KindError(
+            f"{names}: arrays go with points; of several scans make each by scan_from_arrays(points, …)"
+        )
+    else:
+        listed = cast("Iterable[Scan]", scans)
+    config = _config(options)
     target = location(path)
     if target.exists() and not overwrite:
         raise UsageError(f"{target} is there already; overwrite=True replaces it")
     check_name(sequence, "sequence")
-    first_scan = next(coming := checked(scans, config), None)
+    first_scan = next(coming := checked(listed, config), None)
     if first_scan is None:
         raise UsageError(f"{target}: there are no scans to encode")
-    sensor = load_sensor(config.sensor)
+    model = load_sensor(config.sensor)
     layered = config.movable == "layered"
     labelled = config.stores_labels and first_scan.labels is not None
-    facts = ArchiveFacts(sequence, "arrays", "", config.coding, sensor, layered, labelled)
+    facts = ArchiveFacts(sequence, "arrays", "", config.coding, model, layered, labelled)
     write_archive(target, facts, _gops(chain([first_scan], coming), config))
     return target
+
+
+def _config(options: dict[str, Any]) -> RunConfig:
+    try:
+        return resolve(RunConfig(**options))
+    except ValidationError as error:
+        first = error.errors()[0]
+        kind = KindError if first["type"].endswith("_type") else UsageError
+        raise kind(f"option {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
 
 
 def resolve(config: RunConfig) -> RunConfig:

@@ -31,6 +31,9 @@ class Scan:
         offset: ``(N,)`` int32, nanoseconds from ``time`` to when each point was measured, where a frame other than the
             recorded one was asked for; else None.
         movable: ``(N,)`` bool, which points the archive holds in its movable layer, or None where all are in one.
+
+    >>> Scan("000123", np.zeros((5, 3), np.float32), np.zeros(5, np.float32), time=1_500_000_000)
+    Scan('000123', 5 points, 1.500000 s)
     """
 
     name: str

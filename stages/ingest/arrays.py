@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,14 @@ from salpcc.stages.ingest.point_cloud import message_to_scan
 # Of sensor_msgs/PointField, by the type of an array.
 _DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 _OWN = ("x", "y", "z", "intensity")
+
+
+class Array(Protocol):
+    """An array of NumPy, a tensor of PyTorch, or whatever else NumPy takes for one."""
+
+    def __array__(self, dtype: Any = None, /) -> NDArray[Any]:
+        """Return it as one of NumPy's."""
+        ...
 
 
 def scan_from_arrays(
@@ -41,11 +49,9 @@ def scan_from_arrays(
     Raises:
         KindError: an array is of another shape or type; the message names it and the remedy. It is a TypeError, too.
 
-    Example::
-
-        scan = scan_from_arrays(points, intensity, ring=ring, time=time, name="000123")
-        encode_scans([scan], "mine.mcap")
-        Archive.open("mine.mcap")["000123"].fields["ring"]
+    >>> scan = scan_from_arrays(np.ones((2, 3)), ring=np.array([7, 8], np.uint8), name="000123")
+    >>> scan.fields["ring"]
+    array([7, 8], dtype=uint8)
     """
     where = f"scan {name!r}"
     xyz = float32(points, f"{where}: points")

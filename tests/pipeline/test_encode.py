@@ -1,6 +1,7 @@
 """What ``encode_scans`` takes, what it refuses before anything is written, and that it checks what it wrote."""
 
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from salpcc.pipeline import Archive, Scan, decode, encode_scans
+from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, UsageError
 
 FAST: dict[str, Any] = {"effort": "fast"}
@@ -67,6 +69,9 @@ def test_what_is_no_scan_is_refused_and_nothing_written(
         ([scan_of()], {"max_error": -1}, "option max_error"),
         ([scan_of()], {"loudness": 11}, "option loudness"),
         ([scan_of()], {"labels": "given", "keep_movable": False}, "its classes are None"),
+        ([scan_of()], {"device": "cuda"}, "option device: there is none"),
+        ([scan_of()], {"gop": None}, "option gop: .*valid integer"),
+        ([scan_of()], {"effort": "maximal"}, "option effort: .*'fast', 'default' or 'max'"),
         ([np.zeros((5, 4))], {}, "ndarray is no Scan"),
     ],
 )
@@ -125,3 +130,20 @@ def test_writing_into_a_scan_changes_no_other(tmp_path: Path, toy_root: Path, do
             assert scan.points.tobytes() + scan.intensity.tobytes() == wanted[place]
             scan.points[:] = 0
             scan.intensity[:] = 0
+
+
+def test_options_are_those_of_a_run() -> None:
+    """Typed and with their defaults, but that arrays keep what can move in their one layer; wrong types are TypeErrors."""
+    options = {
+        name: parameter.default
+        for name, parameter in signature(encode_scans).parameters.items()
+        if parameter.kind is parameter.KEYWORD_ONLY and name not in ("overwrite", "intensity")
+    }
+    assert options == {name: getattr(RunConfig(), name) for name in options} | {"keep_movable": True}
+    of_runs = {"source", "frames", "topics", "columns", "side_files", "baselines", "device"}
+    told_by_names = {"sensor_digest", "weights_digest"}
+    assert set(RunConfig.model_fields) == {*options, *of_runs, *told_by_names}
+    for wrong in ({"max_eror": 0.01}, {"gop": "8 scans"}, {"sensor": 64}, {"ring": [1, 2]}):
+        with pytest.raises(UsageError, match=f"option {next(iter(wrong))}: ") as caught:
+            encode_scans([scan_of()], "never.mcap", **wrong)  # type: ignore[arg-type]
+        assert isinstance(caught.value, TypeError) == ("gop" not in wrong)
