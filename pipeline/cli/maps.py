@@ -97,6 +97,14 @@ def map_(
     carve: Annotated[
         bool, typer.Option("--carve/--no-carve", help="Take out what other scans look through.")
     ] = True,
+    tune: Annotated[
+        bool,
+        typer.Option(
+            "--tune",
+            help="Choose how it is carved on your own scans: movers are pasted into a stretch of them, and the settings taken that "
+            "remove most of those and least of the rest.",
+        ),
+    ] = False,
     fill_ground: Annotated[
         bool,
         typer.Option(
@@ -176,6 +184,8 @@ def map_(
     except ValidationError as error:
         first = error.errors()[0]
         raise UsageError(f"--{str(first['loc'][0]).replace('_', '-')}: {first['msg']}") from error
+    if tune and not carve:
+        raise UsageError("--tune chooses how a map is carved; it goes without --no-carve")
     if rivals != "none" and against is None:
         raise UsageError("--rivals needs --against, the root with the source scans and their labels")
     request = MapRequest(
@@ -187,6 +197,7 @@ def map_(
         against=against,
         crs=crs,
         explain=explain,
+        tune=tune,
         rivals=[] if rivals == "none" else [name.strip() for name in rivals.split(",")],
         workers=workers,
         scheduler=scheduler,
@@ -204,6 +215,8 @@ def map_(
             f"{len(summary['tiles'])} tiles; taken out: {voxels['carved']} seen through, "
             + ("movable classes are not known" if unknown else f"{voxels['dropped']} of movable classes")
         )
+        if summary["tuning"]:
+            _show_trials(summary["tuning"], summary["config"]["carving"])
         if summary["quality"]:
             _show(summary["quality"])
         typer.echo(f"map: {out / 'tiles'}\npictures: {out / 'pictures'}\nsummary: {out / 'map.json'}")
@@ -312,6 +325,21 @@ def _in_maps(
             f"{'with' if row['movable'] else 'without':8} {row['method']:15} {row['scans']:5} {row['lost']:4}  {'  '.join(figures)}"
         )
     typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
+
+
+def _show_trials(trials: list[dict[str, Any]], chosen: dict[str, Any]) -> None:
+    """The best settings, and the one that was taken."""
+    shown = trials[:5] + [trial for trial in trials[5:] if chosen.items() <= trial.items()]
+    table = Table(title="tuned on movers pasted into the scans", box=SIMPLE_HEAD, title_justify="left")
+    for column in ("views", "per meeting", "margin, m", "SA", "DA", "AA", ""):
+        table.add_column(column)
+    for trial in shown:
+        figures = [f"{trial[m]:.4f}" for m in ("sa", "da", "aa")]
+        taken = "taken" if chosen.items() <= trial.items() else ""
+        table.add_row(
+            str(trial["views"]), f"{trial['per_meeting']:g}", f"{trial['margin']:g}", *figures, taken
+        )
+    Console(emoji=False).print(table)
 
 
 def _show(rows: list[dict[str, object]]) -> None:

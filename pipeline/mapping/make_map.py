@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -18,7 +18,7 @@ from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
 from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_scans import unclassified
-from salpcc.pipeline.mapping.map_steps import build_all, gather_all, score_all, track_all
+from salpcc.pipeline.mapping.map_steps import build_all, gather_all, score_all, track_all, tune_all
 from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.mapping.map_summary import (
     explained_to_json,
@@ -29,6 +29,7 @@ from salpcc.pipeline.mapping.map_summary import (
 )
 from salpcc.pipeline.mapping.map_tiles import TileResult
 from salpcc.pipeline.mapping.map_track import Track
+from salpcc.pipeline.mapping.map_tune import trials_to_json
 from salpcc.pipeline.mapping.map_write import Whole, write_track, write_whole
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.lock import locked
@@ -40,6 +41,7 @@ from salpcc.schemas.work import digest_of
 from salpcc.stages.evaluate.report.record import record
 from salpcc.stages.evaluate.report.schema import MAP_QUALITY
 from salpcc.stages.mapping.cleaners import cleaner
+from salpcc.stages.mapping.tune import best
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 VERSION = 5  # 2: LAZ of one unit of intensity; 3: de-skewed, poses refined; 4: carving weighs what was met; 5: edits
@@ -76,6 +78,10 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         if untold:
             report.say(f"{', '.join(untold)}: {NO_CLASSES}, or {ASK}")
         found, track_ms = track_all(client, plan, request, report)
+        trials = tune_all(client, plan, found, request, report) if request.tune else []
+        if trials:
+            chosen = best(trials, request.config.carving)
+            request = replace(request, config=request.config.model_copy(update={"carving": chosen}))
         submaps = gather_all(client, plan, found, request, report)
         tiles = build_all(client, plan, submaps, request, report)
         cpu_s = 1e-3 * (track_ms + sum(s.cpu_ms for s in submaps) + sum(t.cpu_ms for t in tiles))
@@ -96,7 +102,7 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         summary = _summary(request, plan, inputs, started, found, track_ms, submaps, tiles)
         summary |= frame_to_json(frame) | figures_of_map(tiles)
         summary |= {"explained": explained_to_json(tiles) if request.explain else [], "edits": []}
-        summary |= {"quality": rows, "archives_without_classes": untold}
+        summary |= {"quality": rows, "archives_without_classes": untold, "tuning": trials_to_json(trials)}
         for edit in _edits(request):
             report.say(f"the map that was here had been edited, this one is not: {edit['command']}")
         write_summary(request.out, summary)
@@ -104,7 +110,7 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         if not request.keep_shards:
             for sequence in {plan.sequence, *(group.sequence for group in plan.groups)}:
                 store.drop_sequence(
-                    sequence, ("classes", "thinned", "track", "submap", "views", "tile", "truth")
+                    sequence, ("classes", "thinned", "track", "tuning", "submap", "views", "tile", "truth")
                 )
     return summary
 
@@ -179,6 +185,7 @@ def _inputs(request: MapRequest, plan: MapPlan) -> str:
         sorted(request.rivals),
         request.crs,
         request.explain,
+        request.tune,
     )
 
 

@@ -15,7 +15,7 @@ class MapRequest:
 
     ``poses`` as in :func:`salpcc.pipeline.mapping.map_plan.plan_map`; ``against`` is a data root with labels to
     score by, ``rivals`` are public cleaners to score beside; ``crs`` names the coordinate system of the poses; ``explain``
-    writes what was removed and why.
+    writes what was removed and why; ``tune`` chooses how it is carved by movers pasted into the scans.
     """
 
     archives: list[Path]
@@ -27,6 +27,7 @@ class MapRequest:
     rivals: list[str] = field(default_factory=list)
     crs: str | None = None
     explain: bool = False
+    tune: bool = False
     workers: int | None = None
     scheduler: str | None = None
     keep_shards: bool = False

@@ -22,14 +22,17 @@ from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_submaps import Submap, gather_group
 from salpcc.pipeline.mapping.map_tiles import TileResult, build_tile, parts_of
 from salpcc.pipeline.mapping.map_track import Prepared, Track, prepare_group, read_track, track
+from salpcc.pipeline.mapping.map_tune import read_trials, tune_stretch
 from salpcc.pipeline.mapping.map_write import clear
 from salpcc.pipeline.schedule.flow import each
 from salpcc.pipeline.schedule.progress import Report
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.mapping.agree import Agreement
+from salpcc.stages.mapping.deskew import motions_of
 from salpcc.stages.mapping.refine import PoseCheck
 from salpcc.stages.mapping.score import Tally
+from salpcc.stages.mapping.tune import Trial, stretch_of
 
 _TURN = 5.0  # metres that a scan is moved by at most when it is de-skewed
 
@@ -93,6 +96,24 @@ def _refuse_foreign(plan: MapPlan, agreements: Sequence[Agreement]) -> None:
         f"{a.apart_deg:.1f} degrees apart ({len(wrong)} of {len(checked)} groups disagree); name the poses of "
         f"sequence {group.sequence}, or use --poses {ODOMETRY}"
     )
+
+
+def tune_all(client: Client, plan: MapPlan, found: Track, request: MapRequest, report: Report) -> list[Trial]:
+    """Try settings of the carving on the stretch where one drove farthest; return them, the best first."""
+    part = stretch_of(motions_of(found.poses, [number for group in plan.groups for number in group.numbers]))
+    ends = np.cumsum([len(group.names) for group in plan.groups])
+    names = [name for group in plan.groups for name in group.names]
+    groups = [
+        g
+        for g, end in zip(plan.groups, ends, strict=True)
+        if end > part.start and end - len(g.names) < part.stop
+    ]
+    work = (groups, frozenset(names[part]), *found.of(part), request.config, request.out)
+    report.say(
+        f"{plan.sequence}: tuned on scans {names[part][0]} to {names[part][-1]}, with movers pasted into them"
+    )
+    [(_, ref)] = each(client, tune_stretch, [work], ["tune"])
+    return read_trials(request.out, ref)
 
 
 def gather_all(

@@ -64,7 +64,7 @@ def gather_group(
     relevant = {
         k: v
         for k, v in config.model_dump().items()
-        if k not in ("keep_movable", "fill", "refine_poses", "within")
+        if k not in ("keep_movable", "fill", "refine_poses", "within", "carving")
     }
     digest = digest_of(VERSION, content, group.sequence, group.names, poses, motions, relevant)
     entries = store.ref(group.sequence, "submap", group.number, digest)

@@ -51,8 +51,8 @@ def build(voxels: Voxels, views: list[View], config: MapConfig) -> Built:
     """Fuse entries of several submaps in the map's frame, and find what speaks against each."""
     fused = fuse(voxels, config.voxel)
     against = np.zeros(len(fused), np.uint8)
-    through, met = evidence(fused.xyz, views if config.carve else [])
-    against[contradicted(fused, through, met)] |= CARVED
+    through, met = evidence(fused.xyz, views if config.carve else [], config.carving)
+    against[contradicted(fused, through, met, config.carving)] |= CARVED
     if not config.keep_movable:
         against[fused.movable] |= DROPPED
         against[rest_of_objects(fused)] |= OBJECT

@@ -12,16 +12,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.labels import GROUND, GROUP_OF_CLASS
+from salpcc.stages.mapping.config import Carving
 from salpcc.stages.mapping.view import ROWS, View, pixel_of
 from salpcc.stages.mapping.voxel import Voxels
 
 F64 = NDArray[np.float64]
 
 REACH = 40.0  # metres; beyond, the beams are too far apart to see through a place
-_FEWEST = 2  # views that must contradict,
-_SHARE = 0.5  # how many per scan that met the voxel,
-_PER_MEETING = 2.0  # and how many per view that ended there
-_MARGIN, _MARGIN_PER_METRE = 0.3, 0.01  # metres by which a view must have seen beyond
+_SHARE = 0.5  # views that must contradict, per scan that met the voxel
+_MARGIN_PER_METRE = 0.01  # metres by which a view must have seen farther beyond
+AS_EVER = Carving.model_validate({})
 _CELL = 0.5  # metres, of the columns in which ground is sought
 _STEP = 0.2  # metres above the lowest ground of a column, beyond which nothing is ground
 
@@ -29,18 +29,22 @@ _IS_GROUND = np.zeros(256, np.bool_)
 _IS_GROUND[: len(GROUP_OF_CLASS)] = GROUP_OF_CLASS == GROUND
 
 
-def contradicted(voxels: Voxels, through: NDArray[np.int32], met: NDArray[np.int32]) -> NDArray[np.bool_]:
+def contradicted(
+    voxels: Voxels, through: NDArray[np.int32], met: NDArray[np.int32], how: Carving = AS_EVER
+) -> NDArray[np.bool_]:
     """Mark the entries ``(M,)`` that enough views looked through, by :func:`evidence`."""
-    needed = np.maximum(_FEWEST, np.ceil(_SHARE * voxels.scans))
-    return np.asarray((through >= needed) & (through >= _PER_MEETING * met) & ~lies_on_ground(voxels))
+    needed = np.maximum(how.views, np.ceil(_SHARE * voxels.scans))
+    return np.asarray((through >= needed) & (through >= how.per_meeting * met) & ~lies_on_ground(voxels))
 
 
-def evidence(xyz: F64, views: list[View]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def evidence(
+    xyz: F64, views: list[View], how: Carving = AS_EVER
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Count the views that looked through each place ``(M, 3)``, and those that ended there ``(M,)``."""
     if not views or not len(xyz):
         return np.zeros(len(xyz), np.int32), np.zeros(len(xyz), np.int32)
     poses, shifts = np.array([v.pose for v in views]), np.array([v.shift for v in views])
-    through, met = _count(xyz, poses, shifts, np.array([v.clear for v in views]))
+    through, met = _count(xyz, poses, shifts, np.array([v.clear for v in views]), how.margin)
     return through, met
 
 
@@ -60,7 +64,7 @@ def lies_on_ground(voxels: Voxels) -> NDArray[np.bool_]:
 
 @njit(cache=True)
 def _count(
-    xyz: F64, poses: F64, shifts: F64, clear: NDArray[np.uint16]
+    xyz: F64, poses: F64, shifts: F64, clear: NDArray[np.uint16], least: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     through, met = np.zeros(len(xyz), np.int32), np.zeros(len(xyz), np.int32)
     for i in range(len(xyz)):
@@ -74,7 +78,7 @@ def _count(
             row, column, reach = pixel_of(x, y, z, shifts[k])
             if row < 0 or row >= ROWS:
                 continue
-            margin = _MARGIN + _MARGIN_PER_METRE * reach
+            margin = least + _MARGIN_PER_METRE * reach
             beyond = 0.01 * clear[k, row, column] - reach
             through[i] += beyond > margin
             met[i] += -margin < beyond <= margin

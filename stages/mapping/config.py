@@ -14,6 +14,16 @@ from salpcc.stages.mapping.tiles import Box
 Corners = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
+class Carving(BaseModel):
+    """How sure one must be that a place was empty."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    views: int = Field(2, ge=1, description="that must look through it")
+    per_meeting: float = Field(2.0, gt=0, description="views that look through it for each that ends there")
+    margin: float = Field(0.3, gt=0, description="metres by which a view must see beyond it")
+
+
 class MapConfig(BaseModel):
     """Everything that decides what a map holds; nothing of where or how fast it is made. Lengths in metres."""
 
@@ -28,6 +38,9 @@ class MapConfig(BaseModel):
     refine_poses: bool = Field(True, description="refine given poses where scans fit one another better so")
     keep_movable: bool = Field(False, description="keep what the classes call movable")
     carve: bool = Field(True, description="take out what several scans look through")
+    carving: Carving = Field(
+        Carving.model_validate({}), description="what it takes to be carved; tuned where asked"
+    )
     fill: bool = Field(False, description="close small holes in the ground, as class SYNTHETIC")
     tile: float = Field(50.0, ge=5, le=1000, description="side of a tile")
     within: Corners | None = Field(

@@ -495,3 +495,19 @@ def test_a_part_where_nothing_is_is_wrong_use(
     config = CONFIG.model_validate({**CONFIG.model_dump(), "within": (500, 0, -5, 600, 50, 5)})
     with pytest.raises(UsageError, match=r"no scan came within 40 m of it; the drive is in -?\d"):
         make_map(request_(tmp_path, config=config))
+
+
+def test_a_map_is_carved_as_was_tuned(
+    request_: Callable[..., MapRequest], made: Path, root: Path, tmp_path: Path
+) -> None:
+    """What was tried is told, the best is taken, and the map is no worse for it."""
+    shutil.copytree(made / "shards", tmp_path / "shards")
+    asked = request_(tmp_path, against=root, tune=True, keep_shards=False)
+    summary = make_map(asked)
+    trials = summary["tuning"]
+    assert len(trials) == 18 and trials[0]["aa"] == max(trial["aa"] for trial in trials)
+    taken = next(t for t in trials if summary["config"]["carving"].items() <= t.items())
+    assert trials[0]["aa"] - taken["aa"] <= 0.001
+    ours = next(r for r in summary["quality"] if (r["cleaner"], r["truth"]) == ("ours", "moving"))
+    assert ours["sa"] > 0.99 and ours["da"] > 0.98
+    assert make_map(asked) == summary
