@@ -78,6 +78,13 @@ def map_(
             help="Who says what can move: the archive, or the network where the archive does not; it takes as long as encoding."
         ),
     ] = "given",
+    layers: Annotated[
+        Literal["static", "all"],
+        typer.Option(
+            help="What to read of an archive in layers. With all, what may move is taken out here: more of what a network missed of "
+            "it goes, too, and --explain keeps it, so that it can be put back."
+        ),
+    ] = "static",
     refine_poses: Annotated[
         Literal["auto", "no"],
         typer.Option(
@@ -173,6 +180,7 @@ def map_(
                 "voxel": voxel,
                 "max_range": max_range,
                 "labels": labels,
+                "layers": layers,
                 "refine_poses": refine_poses == "auto",
                 "keep_movable": keep_movable,
                 "carve": carve,

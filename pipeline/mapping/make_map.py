@@ -77,6 +77,11 @@ def make_map(request: MapRequest) -> dict[str, Any]:
         untold = _untold(request)
         if untold:
             report.say(f"{', '.join(untold)}: {NO_CLASSES}, or {ASK}")
+        unread = _unread(request)
+        if unread and request.explain:
+            report.say(
+                f"{', '.join(unread)}: what may move has a layer that is not read; --layers all explains that, too"
+            )
         found, track_ms = track_all(client, plan, request, report)
         trials = tune_all(client, plan, found, request, report) if request.tune else []
         if trials:
@@ -121,6 +126,13 @@ def _edits(request: MapRequest) -> list[dict[str, Any]]:
         return list(read_summary(request.out).get("edits", []))
     except UsageError:
         return []
+
+
+def _unread(request: MapRequest) -> list[str]:
+    """The archives of which a layer is left out."""
+    if request.config.keep_movable or request.config.layers == "all":
+        return []
+    return [str(path) for path in request.archives if ArchiveReader(path).movable == "layered"]
 
 
 def _untold(request: MapRequest) -> list[str]:

@@ -71,5 +71,6 @@ def _ask(group: Group, reader: ArchiveReader, store: ShardStore, ref: ShardRef) 
 
 def _opened(group: Group, config: MapConfig) -> tuple[ArchiveReader, Layers, bool]:
     reader = ArchiveReader(Path(group.archive))
-    layers: Layers = "static" if reader.movable == "layered" and not config.keep_movable else "all"
+    parted = reader.movable == "layered" and config.layers == "static" and not config.keep_movable
+    layers: Layers = "static" if parted else "all"
     return reader, layers, config.labels == "network" and not config.keep_movable and unclassified(reader)

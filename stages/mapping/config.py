@@ -35,6 +35,9 @@ class MapConfig(BaseModel):
     labels: Literal["given", "network"] = Field(
         "given", description="who says what is movable where an archive does not"
     )
+    layers: Literal["static", "all"] = Field(
+        "static", description="what is read of an archive that has what may move in a layer of its own"
+    )
     refine_poses: bool = Field(True, description="refine given poses where scans fit one another better so")
     keep_movable: bool = Field(False, description="keep what the classes call movable")
     carve: bool = Field(True, description="take out what several scans look through")

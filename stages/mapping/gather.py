@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
+from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.deskew import deskewed, turns_before
@@ -18,6 +18,9 @@ from salpcc.stages.mapping.voxel import Voxels, fuse, fuse_scan
 from salpcc.stages.segment.geometric import split_ground
 
 F64 = NDArray[np.float64]
+
+# What is in a movable layer, of whatever class.
+_MAY_MOVE = next(k for k, c in enumerate(CLASSES) if c.name == "other-vehicle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +51,21 @@ def gather(scans: Iterable[Scan], poses: F64, motions: F64, config: MapConfig) -
     for scan, pose, motion in zip(scans, poses, motions, strict=True):
         points += len(scan)
         near = in_range(scan.points, config)
-        # What no one labelled has ground at least, which free space does not carve.
-        classes = (split_ground(scan.points) if scan.classes is None else scan.classes)[near]
+        classes = _classes(scan)[near]
         seen = still(scan, motion)
         parts.append(fuse_scan(move(seen[near], pose), scan.intensity[near], classes, config.voxel))
         if config.carve and (not views or _way(views[-1].pose, pose) >= config.view_every):
             moved = motion if scan.motion is None else scan.motion
             views.append(view_of(seen.astype(np.float32), moved, pose))
     return Submap(fuse(Voxels.together(parts), config.voxel), views, points)
+
+
+def _classes(scan: Scan) -> NDArray[np.uint8]:
+    """Return what each point is. Where no one labelled, there is ground at least, which free space does not carve, and what may move."""
+    if scan.classes is not None:
+        return scan.classes
+    ground = split_ground(scan.points)
+    return ground if scan.movable is None else np.where(scan.movable, _MAY_MOVE, ground).astype(np.uint8)
 
 
 def still(scan: Scan, motion: F64) -> F64:
@@ -77,6 +87,8 @@ def standing(scan: Scan, config: MapConfig) -> NDArray[np.bool_]:
     kept = in_range(scan.points, config)
     if scan.classes is not None:
         kept &= GROUP_OF_CLASS[scan.classes] != MOVABLE
+    if scan.movable is not None:
+        kept &= ~scan.movable
     return kept
 
 

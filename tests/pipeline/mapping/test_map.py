@@ -511,3 +511,26 @@ def test_a_map_is_carved_as_was_tuned(
     ours = next(r for r in summary["quality"] if (r["cleaner"], r["truth"]) == ("ours", "moving"))
     assert ours["sa"] > 0.99 and ours["da"] > 0.98
     assert make_map(asked) == summary
+
+
+def test_a_movable_layer_is_taken_out_and_kept_where_it_is_read(
+    request_: Callable[..., MapRequest], root: Path, tmp_path: Path
+) -> None:
+    """By default a map reads no byte of it; with all layers it is removed with a reason."""
+    config = RunConfig(source="simulated", labels="given", classes=False, effort="fast", gop=5)
+    graph = GraphOptions(last="residual_code")
+    run_sequences(RunRequest(config, [SEQUENCE], tmp_path / "run", root, workers=0, graph=graph, quiet=True))
+    layered = tmp_path / "run" / "archives" / f"{SEQUENCE}.mcap"
+    assert Archive.open(layered)[0].movable is not None
+    static = make_map(request_(tmp_path / "static", archives=[layered], keep_shards=False))
+    assert static["voxels"]["dropped"] == 0
+    asked = request_(
+        tmp_path / "all", archives=[layered], config=CONFIG.model_copy(update={"layers": "all"}), explain=True,
+        formats=["laz"], keep_shards=False,
+    )  # fmt: skip
+    both = make_map(asked)
+    assert both["points_in"] > static["points_in"] and both["voxels"]["dropped"] > 1000
+    assert abs(both["voxels"]["kept"] / static["voxels"]["kept"] - 1) < 0.02
+    removed = [laspy.read(path) for path in (tmp_path / "all" / "removed").glob("*.laz")]
+    by_class = sum(int(np.count_nonzero(np.asarray(las.reason) & 2)) for las in removed)
+    assert by_class > 1000
