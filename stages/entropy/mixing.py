@@ -2,7 +2,8 @@
 
 An opinion is the logarithm of the odds of a 1. Some are given, the others are those of contexts, each an estimate
 that follows the bits seen in it. All is float64 by ``+ - * /`` in a fixed order, with tables for the logistic
-function and its inverse, so that encoder and decoder agree on every machine.
+function and its inverse, so that encoder and decoder agree on every machine. Steps are for both directions, as those of
+:mod:`~salpcc.stages.entropy.walks` are.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import decode_interval, decode_target, encode_interval
+from salpcc.stages.entropy.walks import Buffer, State
 
 _REACH = 12.0
 _PER_UNIT = 64
@@ -76,24 +78,24 @@ def odds(p: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def code_bit(decoding: bool, coder: NDArray[np.int64], data: NDArray[np.uint8], p: float, bit: int) -> int:
-    """Code one bit whose probability of being 1 is ``p``; encoder and decoder alike, returns the bit."""
+def code_given_bit(writing: bool, state: State, buffer: Buffer, p: float, bit: int) -> int:
+    """Code one bit whose probability of being 1 is given."""
     zero = (1 << _BITS) - min(max(int(p * (1 << _BITS)), 8), (1 << _BITS) - 8)
-    if decoding:
-        bit = 1 if decode_target(coder, _BITS) >= zero else 0
+    if not writing:
+        bit = 1 if decode_target(state, _BITS) >= zero else 0
     low, width = (zero, (1 << _BITS) - zero) if bit == 1 else (0, zero)
-    if decoding:
-        decode_interval(coder, data, low, width, _BITS)
+    if writing:
+        encode_interval(state, buffer, low, width, _BITS)
     else:
-        encode_interval(coder, data, low, width, _BITS)
+        decode_interval(state, buffer, low, width, _BITS)
     return bit
 
 
 @njit(cache=True, error_model="numpy")
-def code_mixed_bit(
-    decoding: bool,
-    coder: NDArray[np.int64],
-    data: NDArray[np.uint8],
+def code_learned_bit(
+    writing: bool,
+    state: State,
+    buffer: Buffer,
     bit: int,
     opinions: NDArray[np.float64],
     given: int,
@@ -117,7 +119,7 @@ def code_mixed_bit(
             opinions[i] = _ODDS[chances[places[i - given]] >> 4]
         total += opinions[i] * weights[i]
     p = min(max(logistic(total), _LEAST), 1.0 - _LEAST)
-    bit = code_bit(decoding, coder, data, p, bit)
+    bit = code_given_bit(writing, state, buffer, p, bit)
     step = (bit - p) * rate
     for i in range(n):
         weights[i] += step * opinions[i]

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.buffer import run_encoder
-from salpcc.stages.entropy.mixing import EVEN, code_mixed_bit
-from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
+from salpcc.stages.entropy.mixing import EVEN, code_learned_bit
+from salpcc.stages.entropy.walks import finish_coder, start_coder
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.ring_starts import ring_starts
 
@@ -64,7 +64,7 @@ def _nearest(tick: NDArray[np.int64], i: int, j: int, end: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _walk(
-    decoding: bool,
+    writing: bool,
     starts: NDArray[np.int64],
     tick: NDArray[np.int64],
     reach: NDArray[np.int64],
@@ -72,7 +72,7 @@ def _walk(
     of_label: NDArray[np.uint8],
     place: NDArray[np.int64],
     bits: int,
-    data: NDArray[np.uint8],
+    buffer: NDArray[np.uint8],
 ) -> int:
     """Code the places of labels in their list ``(M,)``, or fill them in; encoder and decoder are this one walk.
 
@@ -82,12 +82,12 @@ def _walk(
         of_point, of_label: the class of each point ``(M,)`` and of each label in the list; a neighbour whose label is of
             another class has no vote.
         bits: of a place.
-        data: room for what is written, or what is read.
+        buffer: room for what is written, or what is read.
 
     Returns:
         the bytes written, or 0 where all could be read; -1 where the buffer is too small, or does not suffice.
     """
-    coder = start_decoder(data) if decoding else start_encoder()
+    state = start_coder(writing, buffer)
     chances = np.full(_IN_LIST + _NODES, EVEN, np.uint16)
     counts = np.zeros(len(chances), np.uint8)
     weights = np.full((_RANKS * _SHARES, 1 + _CONTEXTS), _WEIGHT)
@@ -169,8 +169,8 @@ def _walk(
                 contexts[2] = _BY_PAIR + ((left * _SHOWN + up) * _RANKS + later) * 4 + apart_up
                 contexts[3] = _BY_RING + ((ring & 63) * _SHARES + share) * _SHOWN + shown
                 opinions[0] = _WEIGHT
-                hit = code_mixed_bit(
-                    decoding, coder, data, 1 if place[i] == label else 0, opinions, 1, contexts,
+                hit = code_learned_bit(
+                    writing, state, buffer, 1 if place[i] == label else 0, opinions, 1, contexts,
                     chances, counts, weights[later * _SHARES + share], _RATE,
                 )  # fmt: skip
                 if hit == 1:
@@ -183,16 +183,14 @@ def _walk(
             node = 1
             for bit in range(bits - 1, -1, -1):
                 node_context[0] = _IN_LIST + node % _NODES
-                node = node << 1 | code_mixed_bit(
-                    decoding, coder, data, place[i] >> bit & 1, opinions, 0, node_context,
+                node = node << 1 | code_learned_bit(
+                    writing, state, buffer, place[i] >> bit & 1, opinions, 0, node_context,
                     chances, counts, whole, 0.0,
                 )  # fmt: skip
             place[i] = node - (1 << bits)
         second, second_end = above, above_end
         above, above_end = begin, end
-    if decoding:
-        return -int(coder[3] != 0)
-    return finish_encoder(coder, data)
+    return finish_coder(writing, state, buffer)
 
 
 def _runs(sweep: Sweep, sensor: SensorModel) -> list[_Run]:
@@ -243,7 +241,7 @@ def _coded(
     if not len(place):
         return b""
     bits = _bits(len(of_label))
-    return run_encoder(lambda out: int(_walk(False, *run, of_point, of_label, place, bits, out)), len(place))
+    return run_encoder(lambda out: int(_walk(True, *run, of_point, of_label, place, bits, out)), len(place))
 
 
 def decode_labels(data: bytes, sweep: Sweep, sensor: SensorModel) -> tuple[Labels, Labels]:
@@ -267,7 +265,7 @@ def decode_labels(data: bytes, sweep: Sweep, sensor: SensorModel) -> tuple[Label
     found = []
     for run, of_point, stream in zip(_runs(sweep, sensor), _classes(sweep, form), streams, strict=True):
         place, coded = np.zeros(len(run[1]), np.int64), np.frombuffer(bytearray(stream), np.uint8)
-        sound = not len(place) or _walk(True, *run, of_point, of_label, place, _bits(n), coded) == 0
+        sound = not len(place) or _walk(False, *run, of_point, of_label, place, _bits(n), coded) == 0
         if not sound or place.max(initial=-1) >= n:
             raise ArchiveError("labels do not decode")
         found.append(listed[place])

@@ -52,13 +52,13 @@ class ContextImages:
 
         def mask(out: NDArray[np.uint8]) -> int:
             state = start_encoder()
-            grid_mask.code_mask(False, state, out, filled, known, self._old, *self._mask.arrays)
+            grid_mask.code_mask(True, state, out, filled, known, self._old, *self._mask.arrays)
             return int(finish_encoder(state, out))
 
         def levels(out: NDArray[np.uint8]) -> int:
             state = start_encoder()
             grid_levels.code_levels(
-                False, state, out, level, filled, frame, plane, images.spread, slopes, images.accuracy,
+                True, state, out, level, filled, frame, plane, images.spread, slopes, images.accuracy,
                 *self._levels.arrays,
             )  # fmt: skip
             return int(finish_encoder(state, out))
@@ -75,7 +75,7 @@ class ContextImages:
         data = np.frombuffer(bytearray(mask), np.uint8)
         state = start_decoder(data)
         filled = np.zeros((ROWS, COLUMNS), np.bool_)
-        grid_mask.code_mask(True, state, data, filled, images.frame > 0, self._old, *self._mask.arrays)
+        grid_mask.code_mask(False, state, data, filled, images.frame > 0, self._old, *self._mask.arrays)
         if ground or state[3] != 0 or filled.sum() != returns:
             raise ArchiveError("payload does not decode")
         self._old = filled
@@ -83,7 +83,7 @@ class ContextImages:
         state = start_decoder(data)
         level = np.zeros((ROWS, COLUMNS), np.int32)
         sound = grid_levels.code_levels(
-            True, state, data, level, filled, _inverse(images.frame), _inverse(images.plane), images.spread,
+            False, state, data, level, filled, _inverse(images.frame), _inverse(images.plane), images.spread,
             row_slopes(images.elevation), images.accuracy, *self._levels.arrays,
         )  # fmt: skip
         if not sound or state[3] != 0:

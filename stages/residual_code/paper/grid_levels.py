@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.entropy.mixing import code_bit, code_mixed_bit, odds
+from salpcc.stages.entropy.mixing import code_given_bit, code_learned_bit, odds
 from salpcc.stages.predict.paper.grid_neighbours import BEFORE, GUESSES, guess
 from salpcc.stages.residual_code.paper.grid_mixture import below, mix_guesses, share_beyond
 
@@ -59,9 +59,9 @@ def _signed(x: float) -> int:
 
 @njit(cache=True, error_model="numpy")
 def code_levels(
-    decoding: bool,
-    coder: NDArray[np.int64],
-    data: NDArray[np.uint8],
+    writing: bool,
+    state: NDArray[np.int64],
+    buffer: NDArray[np.uint8],
     level: NDArray[np.int32],
     filled: NDArray[np.bool_],
     frame: NDArray[np.float64],
@@ -132,8 +132,8 @@ def code_levels(
             opinions[0] = odds(1.0 - inner)
             bit = 1 if value > centre else 0
             places[:] = base
-            side = code_mixed_bit(
-                decoding, coder, data, bit, opinions, _GIVEN, places, chances, counts,
+            side = code_learned_bit(
+                writing, state, buffer, bit, opinions, _GIVEN, places, chances, counts,
                 weights[coarse], _RATE,
             )  # fmt: skip
             sign = 1 if side == 1 else -1
@@ -149,8 +149,8 @@ def code_levels(
                 opinions[0] = odds(share_beyond(inner, outer, beyond))
                 node = 1 + side * _CLASSES + min(size, _CLASSES - 1)
                 places[:] = base + node
-                bit = code_mixed_bit(
-                    decoding, coder, data, 1 if distance >= 2 << size else 0, opinions, _GIVEN, places,
+                bit = code_learned_bit(
+                    writing, state, buffer, 1 if distance >= 2 << size else 0, opinions, _GIVEN, places,
                     chances, counts, weights[node * _COARSE + coarse], _RATE,
                 )  # fmt: skip
                 if bit == 0:
@@ -168,17 +168,17 @@ def code_levels(
                     opinions[0] = odds(p)
                     node = 1 + 2 * _CLASSES + min(size, _NODES - 2 - 2 * _CLASSES)
                     places[:] = base + node
-                    bit = code_mixed_bit(
-                        decoding, coder, data, bit, opinions, _GIVEN, places, chances, counts,
+                    bit = code_learned_bit(
+                        writing, state, buffer, bit, opinions, _GIVEN, places, chances, counts,
                         weights[node * _COARSE + coarse], _RATE,
                     )  # fmt: skip
                 else:
-                    bit = code_bit(decoding, coder, data, p, bit)
+                    bit = code_given_bit(writing, state, buffer, p, bit)
                 if bit == 1:
                     low, inner = cut, beyond
                 else:
                     outer = beyond
-            if decoding:
+            if not writing:
                 value = centre + low if side == 1 else centre + 1 - low
                 if value < 1 or value >= 1 << 24:
                     return False

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.entropy.mixing import code_mixed_bit
+from salpcc.stages.entropy.mixing import code_learned_bit
 
 _SIZES = np.array([1 << 11, 1 << 11, 1 << 12, 1 << 11, ROWS << 4])
 _FIRST = np.concatenate([np.zeros(1, np.int64), np.cumsum(_SIZES)])
@@ -35,9 +35,9 @@ def _cells(image: NDArray[np.bool_], row: int, column: int, first: int, last: in
 
 @njit(cache=True, error_model="numpy")
 def code_mask(
-    decoding: bool,
-    coder: NDArray[np.int64],
-    data: NDArray[np.uint8],
+    writing: bool,
+    state: NDArray[np.int64],
+    buffer: NDArray[np.uint8],
     filled: NDArray[np.bool_],
     frame: NDArray[np.bool_],
     old: NDArray[np.bool_],
@@ -69,9 +69,9 @@ def code_mask(
             )  # fmt: skip
             places[3] = _FIRST[3] + (was << 6 | (left & 3) << 4 | (up >> 1 & 7) << 1 | (three >> 1 & 1))
             places[4] = _FIRST[4] + (row << 4 | (left & 1) << 3 | (up >> 1 & 7))
-            bit = code_mixed_bit(
-                decoding, coder, data, 1 if filled[row, column] else 0, opinions, 1, places, chances, counts,
+            bit = code_learned_bit(
+                writing, state, buffer, 1 if filled[row, column] else 0, opinions, 1, places, chances, counts,
                 weights[(left & 3) << 4 | (up >> 1 & 7) << 1 | (three >> 1 & 1)], _RATE,
             )  # fmt: skip
-            if decoding:
+            if not writing:
                 filled[row, column] = bit == 1

@@ -10,16 +10,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import (
-    decode_bit,
-    decode_mixed_bit,
-    encode_bit,
-    encode_mixed_bit,
-    finish_encoder,
-    start_decoder,
-    start_encoder,
+from salpcc.stages.entropy.walks import code_bit, code_mixed_bit, finish_coder, start_coder, uncounted
+from salpcc.stages.residual_code.sensor.mask_coder import (
+    Ticks,
+    firing_context,
+    follow,
+    is_return,
+    mark_firings,
+    note_return,
+    ticks_of_ring,
 )
-from salpcc.stages.residual_code.sensor.mask_coder import firing_context, follow, mark_firings, ticks_of_ring
 
 FIRING_CONTEXTS = 1 + (1 << 6)  # whether the static layer lacks firings, then which
 BEHIND_CONTEXTS = 3**6
@@ -29,36 +29,52 @@ _STATIC, _MOVABLE = 1, 2
 _BEFORE, _AFTER = 3, 3  # places at the ends of a ring that are empty
 
 Starts = NDArray[np.int64]
-Ticks = NDArray[np.int32]
 
 
-@njit(cache=True)
-def _code_firings(decoding, coder, data, out, model, known, firing):  # type: ignore[no-untyped-def]
-    """Code the firings that ``known`` lacks; ``firing`` is read, or filled when decoding."""
+@uncounted
+def _code_firings(
+    writing: bool,
+    state: NDArray[np.int64],
+    model: NDArray[np.uint16],
+    known: NDArray[np.int8],
+    firing: NDArray[np.int8],
+    buffer: NDArray[np.uint8],
+) -> None:
+    """Code the firings that ``known`` lacks; ``firing`` is read, or filled when reading."""
     more = 0
-    if decoding:
-        more = decode_bit(coder, data, model, 0)
-    else:
+    if writing:
         for t in range(len(firing)):
             if firing[t] != known[t]:
                 more = 1
-        encode_bit(coder, out, model, 0, more)
+    more = code_bit(writing, state, buffer, model, 0, more)
     for t in range(len(firing)):
         if known[t] == 1:
             firing[t] = 1
         elif more == 1:
-            context = 1 + firing_context(firing, t)
-            if decoding:
-                firing[t] = decode_bit(coder, data, model, context)
-            else:
-                encode_bit(coder, out, model, context, firing[t])
+            firing[t] = code_bit(writing, state, buffer, model, 1 + firing_context(firing, t), firing[t])
 
 
 @njit(cache=True)
-def _walk(  # type: ignore[no-untyped-def]
-    decoding, coder, data, out, fired, shift, ticks, known_starts, known_tick, starts, tick, laser, model
-):
-    """Code the returns of all rings; encoder and decoder are one walk. Returns how many there were, -1 for too many."""
+def _walk(
+    writing: bool,
+    known_starts: Starts,
+    known_tick: Ticks,
+    starts: Starts,
+    tick: Ticks,
+    laser: NDArray[np.uint8],
+    shift: NDArray[np.int64],
+    firing: NDArray[np.int8],
+    firing_model: NDArray[np.uint16],
+    return_model: NDArray[np.uint16],
+    buffer: NDArray[np.uint8],
+) -> tuple[int, int]:
+    """Code firings and returns as :mod:`.mask_coder` does, with the same arguments, but for those of the static layer."""
+    state = start_coder(writing, buffer)
+    ticks = len(firing)
+    known = np.zeros(ticks, np.int8)
+    mark_firings(known_starts, known_tick, shift, ticks, known)
+    _code_firings(writing, state, firing_model, known, firing, buffer)
+    fired = np.flatnonzero(firing)
     n, rings = len(fired), len(shift)
     places = np.full((rings, n + 1), ticks)
     seen = np.zeros((rings, n + _BEFORE + _AFTER), np.int64)
@@ -71,14 +87,15 @@ def _walk(  # type: ignore[no-untyped-def]
             seen[k, f + _BEFORE] = _STATIC
     empty = np.zeros(n + _BEFORE + _AFTER, np.int64)
     none = np.full(n + 1, ticks)
-    done = 0
+    done = end = 0
     for k in range(rings):
         here = seen[k]
         up, up_places = (seen[k - 1], places[k - 1]) if k > 0 else (empty, none)
         up2, up2_places = (seen[k - 2], places[k - 2]) if k > 1 else (empty, none)
         down, down_places = (seen[k + 1], places[k + 1]) if k + 1 < rings else (empty, none)
         j = j2 = below = -1
-        i = 0 if decoding else starts[k]
+        if writing:
+            done, end = starts[k], starts[k + 1]
         for f in range(n):
             at, t = f + _BEFORE, places[k, f]
             if here[at] == _STATIC:
@@ -101,22 +118,14 @@ def _walk(  # type: ignore[no-untyped-def]
                 | down[b + 1]
             )
             around += BEHIND_CONTEXTS
-            if decoding:
-                bit = decode_mixed_bit(coder, data, model, behind, model, around)
-                if bit == 1:
-                    if done == len(tick):
-                        return -1
-                    laser[done] = k
-                    tick[done] = t
-                    done += 1
-            else:
-                bit = 0
-                if i < starts[k + 1] and tick[i] == t:
-                    bit = 1
-                    i += 1
-                encode_mixed_bit(coder, out, model, behind, model, around, bit)
+            bit = is_return(writing, tick, done, end, t)
+            bit = code_mixed_bit(writing, state, buffer, return_model, behind, return_model, around, bit)
+            if bit == 1:
+                if not note_return(writing, laser, tick, done, k, t):
+                    return -1, -1
+                done += 1
             here[at] = bit * _MOVABLE
-    return done
+    return done, finish_coder(writing, state, buffer)
 
 
 @njit(cache=True)
@@ -136,18 +145,13 @@ def encode_layer_mask(
     Args:
         known_starts, known_tick: the static layer's; no return is in both.
     """
-    known, firing = np.zeros(ticks, np.int8), np.zeros(ticks, np.int8)
-    mark_firings(known_starts, known_tick, shift, ticks, known)
-    firing[:] = known
+    firing = np.zeros(ticks, np.int8)
+    mark_firings(known_starts, known_tick, shift, ticks, firing)
     mark_firings(starts, tick, shift, ticks, firing)
-    coder = start_encoder()
-    _code_firings(False, coder, out, out, firing_model, known, firing)
-    fired = np.flatnonzero(firing)
     laser = np.zeros(0, np.uint8)
-    _walk(
-        False, coder, out, out, fired, shift, ticks, known_starts, known_tick, starts, tick, laser, return_model
-    )  # fmt: skip
-    return finish_encoder(coder, out)
+    return _walk(
+        True, known_starts, known_tick, starts, tick, laser, shift, firing, firing_model, return_model, out
+    )[1]  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
@@ -162,16 +166,9 @@ def decode_layer_mask(
     data: NDArray[np.uint8],
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32], bool]:
     """Decode laser uint8 ``(n,)`` and tick int32 ``(n,)``, and whether the data gave exactly n returns."""
-    laser = np.zeros(n, np.uint8)
-    tick = np.zeros(n, np.int32)
-    known, firing = np.zeros(ticks, np.int8), np.zeros(ticks, np.int8)
-    mark_firings(known_starts, known_tick, shift, ticks, known)
-    coder = start_decoder(data)
-    out = np.zeros(0, np.uint8)
-    _code_firings(True, coder, data, out, firing_model, known, firing)
-    fired = np.flatnonzero(firing)
-    starts = np.zeros(0, np.int64)
-    done = _walk(
-        True, coder, data, out, fired, shift, ticks, known_starts, known_tick, starts, tick, laser, return_model
+    laser, tick = np.zeros(n, np.uint8), np.zeros(n, np.int32)
+    firing, starts = np.zeros(ticks, np.int8), np.zeros(0, np.int64)
+    done, rest = _walk(
+        False, known_starts, known_tick, starts, tick, laser, shift, firing, firing_model, return_model, data
     )  # fmt: skip
-    return laser, tick, done == n and coder[3] == 0
+    return laser, tick, done == n and rest == 0

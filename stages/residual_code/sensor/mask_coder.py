@@ -11,16 +11,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import (
-    decode_bit,
-    encode_bit,
-    finish_encoder,
-    start_decoder,
-    start_encoder,
-)
+from salpcc.stages.entropy.walks import code_bit, finish_coder, start_coder, uncounted
 
 FIRING_CONTEXTS = 1 << 6
 RETURN_CONTEXTS = 1 << 9
+
+Ticks = NDArray[np.int32]
 
 
 @njit(cache=True)
@@ -75,15 +71,50 @@ def _three(seen: NDArray[np.int64], place: int) -> int:
     return seen[place + 1] << 2 | seen[place + 2] << 1 | seen[place + 3]
 
 
+@uncounted
+def is_return(writing: bool, tick: Ticks, at: int, end: int, t: int) -> int:
+    """Return the bit to write of tick ``t`` of a ring: whether its next return ``at``, before ``end``, is there; 0 when reading."""
+    return int(writing and at < end and tick[at] == t)
+
+
+@uncounted
+def note_return(writing: bool, laser: NDArray[np.uint8], tick: Ticks, at: int, k: int, t: int) -> bool:
+    """Note, when reading, that return ``at`` is of laser k at tick ``t``; tell whether there was room for it."""
+    if writing:
+        return True
+    if at == len(tick):
+        return False
+    laser[at] = k
+    tick[at] = t
+    return True
+
+
 @njit(cache=True)
-def _walk(  # type: ignore[no-untyped-def]
-    decoding, coder, data, out, fired, shift, ticks, starts, tick, laser, model
-):
-    """Code the returns of all rings; encoder and decoder are one walk. Returns how many there were."""
+def _walk(
+    writing: bool,
+    starts: NDArray[np.int64],
+    tick: Ticks,
+    laser: NDArray[np.uint8],
+    shift: NDArray[np.int64],
+    firing: NDArray[np.int8],
+    firing_model: NDArray[np.uint16],
+    return_model: NDArray[np.uint16],
+    buffer: NDArray[np.uint8],
+) -> tuple[int, int]:
+    """Code the firings ``(ticks,)``, then the returns of all rings; writing, ``laser`` is not used, reading, ``starts`` are not.
+
+    Returns:
+        how many returns there were, -1 for too many; and what :func:`~salpcc.stages.entropy.walks.finish_coder` says.
+    """
+    state = start_coder(writing, buffer)
+    ticks = len(firing)
+    for t in range(ticks):
+        firing[t] = code_bit(writing, state, buffer, firing_model, firing_context(firing, t), firing[t])
+    fired = np.flatnonzero(firing)
     n = len(fired)
     ring_ticks = np.full((3, n + 1), ticks)
     seen = np.zeros((3, n + 4), np.int64)
-    done = 0
+    done = end = 0
     for k in range(len(shift)):
         places, above_places, above2_places = (
             ring_ticks[k % 3],
@@ -95,29 +126,22 @@ def _walk(  # type: ignore[no-untyped-def]
         left = 7
         at = -1
         at2 = -1
-        i = 0 if decoding else starts[k]
+        if writing:
+            done, end = starts[k], starts[k + 1]
         for f in range(n):
             t = places[f]
             at = follow(at, t, above_places)
             at2 = follow(at2, t, above2_places)
             context = left << 6 | _three(up, at) << 3 | _three(up2, at2)
-            if decoding:
-                bit = decode_bit(coder, data, model, context)
-                if bit == 1:
-                    if done == len(tick):
-                        return -1
-                    laser[done] = k
-                    tick[done] = t
-                    done += 1
-            else:
-                bit = 0
-                if i < starts[k + 1] and tick[i] == t:
-                    bit = 1
-                    i += 1
-                encode_bit(coder, out, model, context, bit)
+            bit = is_return(writing, tick, done, end, t)
+            bit = code_bit(writing, state, buffer, return_model, context, bit)
+            if bit == 1:
+                if not note_return(writing, laser, tick, done, k, t):
+                    return -1, -1
+                done += 1
             here[f + 1] = bit
             left = (left << 1 | bit) & 7
-    return done
+    return done, finish_coder(writing, state, buffer)
 
 
 @njit(cache=True)
@@ -133,12 +157,8 @@ def encode_mask(
     """Encode the ticks ``(M,)`` of returns in firing order; bytes written to ``out``, -1 if full."""
     firing = np.zeros(ticks, np.int8)
     mark_firings(starts, tick, shift, ticks, firing)
-    coder = start_encoder()
-    for t in range(ticks):
-        encode_bit(coder, out, firing_model, firing_context(firing, t), firing[t])
-    fired = np.flatnonzero(firing)
-    _walk(False, coder, out, out, fired, shift, ticks, starts, tick, np.zeros(0, np.uint8), return_model)
-    return finish_encoder(coder, out)
+    unused = np.zeros(0, np.uint8)
+    return _walk(True, starts, tick, unused, shift, firing, firing_model, return_model, out)[1]
 
 
 @njit(cache=True, nogil=True)
@@ -151,24 +171,7 @@ def decode_mask(
     data: NDArray[np.uint8],
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32], bool]:
     """Decode laser uint8 ``(n,)`` and tick int32 ``(n,)``, and whether the data gave exactly n returns."""
-    laser = np.zeros(n, np.uint8)
-    tick = np.zeros(n, np.int32)
-    coder = start_decoder(data)
-    firing = np.zeros(ticks, np.int8)
-    for t in range(ticks):
-        firing[t] = decode_bit(coder, data, firing_model, firing_context(firing, t))
-    fired = np.flatnonzero(firing)
-    done = _walk(
-        True,
-        coder,
-        data,
-        np.zeros(0, np.uint8),
-        fired,
-        shift,
-        ticks,
-        np.zeros(0, np.int64),
-        tick,
-        laser,
-        return_model,
-    )
-    return laser, tick, done == n and coder[3] == 0
+    laser, tick = np.zeros(n, np.uint8), np.zeros(n, np.int32)
+    firing, unused = np.zeros(ticks, np.int8), np.zeros(0, np.int64)
+    done, rest = _walk(False, unused, tick, laser, shift, firing, firing_model, return_model, data)
+    return laser, tick, done == n and rest == 0
