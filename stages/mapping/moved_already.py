@@ -19,7 +19,10 @@ from salpcc.stages.mapping.refine import residual
 F64 = NDArray[np.float64]
 
 _STRETCH = 24  # scans that are looked at
-_FIRST = 4  # of them that are not judged, as hardly any are before them
+_FIRST, _JUDGED = (
+    4,
+    8,
+)  # of them that are not judged, as hardly any are before them; and how many of the others are
 _SLOW = 0.2  # metres per turn, below which both are the same
 _CLEARLY = 0.97  # of the residual of de-skewed scans, below which they were moved already
 
@@ -47,7 +50,8 @@ def moved_already(
     if any(cloud.compensated for cloud in skewed):
         return False  # some tell their motion, and need no guess
     as_they_are = [still(cloud) for cloud in skewed]
-    spots = range(min(_FIRST, len(skewed) - 1), len(skewed))
+    first = min(_FIRST, len(skewed) - 1)
+    spots = sorted({int(k) for k in np.linspace(first, len(skewed) - 1, _JUDGED).round()})
     own = np.array([scan.pose for scan in follow(as_they_are)])
     moved = residual(skewed.__getitem__, spots, poses[part], motions[part])
     left = residual(as_they_are.__getitem__, spots, own, np.zeros((len(own), 6)))
