@@ -137,7 +137,7 @@ def explain(out: Path, store: ShardStore, tiles: Sequence[TileResult], size: flo
         rows = ",\n ".join(json.dumps(row) for row in table_of(whole, objects, frame))
         stream.write(f"[{rows}]\n".encode())
     with atomic(out / PICTURE) as stream:
-        stream.write(removed_picture(whole.voxels, whole.against))
+        stream.write(removed_picture(whole.voxels, whole.against, objects))
 
 
 def clear_explained(out: Path) -> None:

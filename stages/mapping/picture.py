@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import matplotlib
@@ -22,6 +23,7 @@ _LEVELS = 40  # colours for height, 1 to _LEVELS; 0 is the background
 _LOW, _HIGH = -2.0, 7.0  # metres above the sensor's way, of the first and last colour
 _RED, _ORANGE, _BLUE, _GREEN = _LEVELS + 1, _LEVELS + 2, _LEVELS + 3, _LEVELS + 4
 _GREY, _WHITE = _LEVELS + 5, 255
+_NUMBERED = 30  # objects at most that have their number on a picture
 _MARGIN = 12  # pixels around what is written on a picture
 _BARS = tuple(digit * 10**power for power in range(6) for digit in (1, 2, 5))  # metres
 _REMOVED = {_RED: "of a movable class, or among it", _ORANGE: "seen through"}
@@ -74,11 +76,18 @@ def pictures(voxels: Voxels, against: NDArray[np.uint8], place: Place) -> dict[s
     return out
 
 
-def removed_picture(voxels: Voxels, against: NDArray[np.uint8]) -> bytes:
-    """Draw a PNG of what was removed, from above, x to the right: orange what was seen through, red what its class told."""
+def removed_picture(voxels: Voxels, against: NDArray[np.uint8], objects: NDArray[np.uint32]) -> bytes:
+    """Draw a PNG of what was removed, from above, x to the right: orange what was seen through, red what its class told.
+
+    The largest objects ``(M,)``, which are numbered by size, have their numbers beside them.
+    """
     colour = np.where(against & CARVED, _ORANGE, _RED).astype(np.uint8)
     middle = np.median(voxels.xyz, axis=0) if len(voxels) else np.zeros(3)
-    return _png(_above(voxels.xyz - middle, colour), _PER_PIXEL, _REMOVED)
+    notes = []
+    for number in np.unique(objects)[:_NUMBERED]:
+        x, y = np.median(voxels.xyz[objects == number, :2], axis=0) - middle[:2]
+        notes.append((x / _PER_PIXEL + WIDTH / 2, HEIGHT / 2 - y / _PER_PIXEL, str(number)))
+    return _png(_above(voxels.xyz - middle, colour), _PER_PIXEL, _REMOVED, notes)
 
 
 def difference_picture(xyz: F64, state: NDArray[np.uint8]) -> bytes:
@@ -136,8 +145,13 @@ def _height_colour(z: F64) -> Index:
     return (1 + np.floor(part * (_LEVELS - 1))).astype(np.uint8)
 
 
-def _png(image: Index, metres: float | None, legend: dict[int, str]) -> bytes:
-    """Colour an image, with a legend of some colours, and a bar of a round length where all pixels are as many ``metres``."""
+def _png(
+    image: Index, metres: float | None, legend: dict[int, str], notes: Sequence[tuple[float, float, str]] = ()
+) -> bytes:
+    """Colour an image, with a legend of some colours, and a bar of a round length where all pixels are as many ``metres``.
+
+    ``notes`` are texts at a column and a row.
+    """
     scale = matplotlib.colormaps["viridis"](np.linspace(0.12, 1.0, _LEVELS))[:, :3]
     table = np.zeros((256, 3), np.uint8)
     table[0] = (16, 19, 26)
@@ -151,6 +165,8 @@ def _png(image: Index, metres: float | None, legend: dict[int, str]) -> bytes:
         at -= 14 + int(pen.textlength(text)) + _MARGIN
         pen.rectangle((at, _MARGIN, at + 9, _MARGIN + 9), fill=of)
         pen.text((at + 14, _MARGIN - 1), text, fill=_WHITE)
+    for column, row, text in notes:
+        pen.text((column, row), text, fill=_WHITE)
     if metres is not None:
         length = next(n for n in _BARS if n / metres > WIDTH / 12)
         y, x = HEIGHT - _MARGIN, WIDTH - _MARGIN

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from salpcc.stages.mapping.build import DROPPED
-from salpcc.stages.mapping.picture import HEIGHT, WIDTH, busiest, pictures
+from salpcc.stages.mapping.picture import HEIGHT, WIDTH, busiest, pictures, removed_picture
 from salpcc.stages.mapping.voxel import Voxels
 
 
@@ -32,3 +32,20 @@ def test_what_was_taken_out_is_red_before_and_gone_after() -> None:
         if name == "above_before":  # ahead is right, left is up
             rows, columns = np.nonzero(red)
             assert columns.min() > WIDTH / 2 and rows.max() < HEIGHT / 2
+
+
+def test_what_was_removed_has_its_number_beside_it() -> None:
+    rng = np.random.default_rng(0)
+    xyz = np.concatenate([rng.uniform(-1, 1, (900, 3)), rng.uniform(-1, 1, (400, 3)) + [40, 20, 0]])
+    voxels = Voxels.of_points(xyz, np.zeros(1300, np.float32), None)
+    against, objects = np.full(1300, DROPPED, np.uint8), np.repeat(np.array([1, 2], np.uint32), [900, 400])
+
+    def white(numbers: np.ndarray) -> tuple[int, int]:
+        png = removed_picture(voxels, against, numbers)
+        image = np.array(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+        lit = (image == 255).all(axis=2)
+        return lit[:, : WIDTH // 2 + 80].sum(), lit[60 : HEIGHT // 2, WIDTH // 2 + 80 :].sum()
+
+    none = white(np.zeros(0, np.uint32))
+    both = white(objects)
+    assert both[0] > none[0] and both[1] > none[1] == 0  # one in the middle, one up on the right
