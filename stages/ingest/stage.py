@@ -57,8 +57,8 @@ class Projector:
     """Puts the scans of one GOP on the lattice, one after the other.
 
     The motion search of a scan starts from its predecessor's, but only where their frame numbers are
-    consecutive, and never across GOPs, so a GOP depends on no other. Where two scans in a row were sought a motion by place in
-    the list for in vain, no more is sought: it takes seconds.
+    consecutive, and never across GOPs, so a GOP depends on no other. Where a motion of two scans in a row was sought in vain, none is
+    sought any more: it takes seconds.
     """
 
     def __init__(self, sensor: SensorModel) -> None:

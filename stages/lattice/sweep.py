@@ -48,12 +48,12 @@ def _in_firing_order(
 
 
 def _find_motion(
-    points: NDArray[np.float32], start: NDArray[np.float64] | None
+    points: NDArray[np.float32], start: NDArray[np.float64] | None, seek: bool
 ) -> tuple[bool, NDArray[np.float64] | None]:
     """Tell whether the points' lattice can be had, and the motion to undo for it (None: raw)."""
     if len(points) == 0 or is_raw(points):
         return True, None
-    if len(points) < _MIN_POINTS_FOR_MOTION:
+    if not seek or len(points) < _MIN_POINTS_FOR_MOTION:
         return False, None
     try:
         motion = solve_motion(points, start)
@@ -106,7 +106,7 @@ def _sweep(
 
 
 def scan_to_sweep(
-    scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | None = None, by_list: bool = True
+    scan: Scan, sensor: SensorModel, start: NDArray[np.float64] | None = None, seek: bool = True
 ) -> Sweep:
     """Put a scan on its sensor lattice, losslessly.
 
@@ -114,7 +114,7 @@ def scan_to_sweep(
 
     Args:
         start: motion of the scan before, from which the inversion starts.
-        by_list: of a scan without returns, seek a motion by place in the list.
+        seek: what takes seconds: of a recorded message, the motion of a turn; of a scan without returns, one by place in the list.
 
     >>> from salpcc.stages.lattice.sensor_model import load_sensor
     >>> points = np.array([[10, 0, 0.5], [0, 4, -1.9]], np.float32)
@@ -128,9 +128,11 @@ def scan_to_sweep(
         sensor, points
     ):  # not rounded to 1 mm: no returns of this lattice, but the coder of strays knows it
         return _all_strays(scan, None)
-    locked, motion = _find_motion(points if within.all() else points[within], start)
+    locked, motion = _find_motion(
+        points if within.all() else points[within], start, seek or scan.cloud is None
+    )
     if not locked:
-        return _all_strays(scan, find_motion(points, sensor) if by_list else None)
+        return _all_strays(scan, find_motion(points, sensor) if seek else None)
 
     raw, compensated, usable = untwist(points, motion)
     laser = assign_lasers(sensor, raw, usable)
@@ -138,7 +140,7 @@ def scan_to_sweep(
     on = np.flatnonzero((millimetre >= 0) & (ulp >= 0))
     on = on[_in_firing_order(laser[on], tick[on], key[on])]
     if len(on) < _MIN_SHARE * len(scan):
-        return _all_strays(scan, find_motion(points, sensor) if by_list else None)
+        return _all_strays(scan, find_motion(points, sensor) if seek else None)
     return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre[on], ulp[on])
 
 

@@ -11,6 +11,7 @@ from salpcc.stages.strays.turning_rays import Turning
 _FASTEST, _RATES = 8.0, 321  # radians from the first to the last point; tried
 _SAMPLE = 6000  # points
 _ROUNDS = 14
+_MORE_ROUNDS, _AS_GOOD = 5, 1.2  # from the rays of the scan before; times as far off as its points were
 _HOPELESS = 0.02  # radians that half of the points are off by after half of the rounds
 _DAMPING = 1e-6
 _STEPS = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
@@ -19,22 +20,24 @@ _FEWEST = 10  # points of a laser
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+Numbers = tuple[F64, F64, F64]  # of lasers, of sensors, the motion
+Fitted = tuple[Turning, float]  # and how far off half of the points are, radians
+
+_TURN = 2.0 * np.pi
+_NO_CHANGE = np.zeros(len(_STEPS))
 
 
-def fit_turning(points: F64, laser: I64, group: I64, time: F64) -> tuple[Turning, float] | None:
+def fit_turning(points: F64, laser: I64, group: I64, time: F64) -> Fitted | None:
     """Return the rays of points ``(N, 3)`` of lasers ``(N,)`` at times ``(N,)`` (-1/2 to 1/2), and how far off half of them are, radians.
 
     Args:
         group: the sensor of every laser that may be.
     """
     lasers, sensors = int(laser.max()) + 1, int(group[laser].max()) + 1
-    reach = np.sqrt((points**2).sum(axis=1))
-    sound = np.flatnonzero(np.isfinite(reach) & (reach > 0.5) & (reach < 1e4))
+    sound = _sound(points)
     if len(sound) < _SAMPLE // 4:
         return None
-    some = np.random.default_rng(0).permutation(sound)[:_SAMPLE]
-    p, k, t = points[some], laser[some], time[some]
-    of = group[k]
+    p, k, of, t = _sample(sound, points, laser, group, time)
     azimuth = np.arctan2(p[:, 1], p[:, 0])
     numbers = np.zeros((lasers, _OF_LASER)), np.zeros((sensors, _OF_SENSOR)), np.zeros(6)
     numbers[1][:, 6] = [_rate(azimuth[of == g], t[of == g], k[of == g], lasers) for g in range(sensors)]
@@ -49,9 +52,40 @@ def fit_turning(points: F64, laser: I64, group: I64, time: F64) -> tuple[Turning
         numbers, half = _improved(numbers, p, k, of, t)
         if round_ >= _ROUNDS // 2 and half > _HOPELESS:
             return None
-    turning = Turning(*(part.astype(np.float32) for part in numbers))
-    off = _off(numbers, points[sound], laser[sound], group[laser[sound]], time[sound])
-    return turning, float(np.median(np.hypot(*off)))
+    return _measured(numbers, sound, points, laser, group, time)
+
+
+def fit_again(points: F64, laser: I64, group: I64, time: F64, before: Fitted) -> Fitted | None:
+    """Fit the rays of the scan before to points given as for :func:`fit_turning`; None where they are of other lasers, or turn otherwise."""
+    turning, off = before
+    lasers, sensors = int(laser.max()) + 1, int(group[laser].max()) + 1
+    sound = _sound(points)
+    if len(sound) < _SAMPLE // 4 or (len(turning.lasers), len(turning.sensors)) != (lasers, sensors):
+        return None
+    sample = _sample(sound, points, laser, group, time)
+    wide = turning.lasers.astype(np.float64), turning.sensors.astype(np.float64)
+    numbers = *wide, turning.motion.astype(np.float64)
+    for _ in range(_MORE_ROUNDS):
+        numbers, _half = _improved(numbers, *sample)
+    again = _measured(numbers, sound, points, laser, group, time)
+    return again if again[1] < _AS_GOOD * off else None
+
+
+def _sound(points: F64) -> I64:
+    """Points ``(N, 3)`` that are returns."""
+    reach = np.sqrt((points**2).sum(axis=1))
+    return np.flatnonzero(np.isfinite(reach) & (reach > 0.5) & (reach < 1e4))
+
+
+def _sample(sound: I64, points: F64, laser: I64, group: I64, time: F64) -> tuple[F64, I64, I64, F64]:
+    """Some of the points, their lasers, sensors and times."""
+    some = np.random.default_rng(0).permutation(sound)[:_SAMPLE]
+    return points[some], laser[some], group[laser[some]], time[some]
+
+
+def _measured(numbers: Numbers, sound: I64, points: F64, laser: I64, group: I64, time: F64) -> Fitted:
+    off = _off(*numbers, points[sound], laser[sound], group[laser[sound]], time[sound], _NO_CHANGE)
+    return Turning(*(part.astype(np.float32) for part in numbers)), float(np.median(np.hypot(*off)))
 
 
 def _rate(azimuth: F64, time: F64, laser: I64, lasers: int) -> float:
@@ -65,29 +99,43 @@ def _rate(azimuth: F64, time: F64, laser: I64, lasers: int) -> float:
     return float(rates[sharp.argmax()])
 
 
-def _turned(v: F64, w: F64) -> F64:
-    """Vectors ``(N, 3)`` turned by rotation vectors ``(N, 3)``."""
-    angle = np.sqrt((w**2).sum(axis=1, keepdims=True)) + 1e-300
-    axis = w / angle
-    along = (axis * v).sum(axis=1, keepdims=True) * axis
-    return np.asarray(along + np.cos(angle) * (v - along) + np.sin(angle) * np.cross(axis, v))
+@njit(cache=True, error_model="numpy")
+def _turned(x: float, y: float, z: float, a: float, b: float, c: float) -> tuple[float, float, float]:
+    """A vector turned by the rotation vector (a, b, c)."""
+    angle = np.sqrt(a * a + b * b + c * c) + 1e-300
+    a, b, c = a / angle, b / angle, c / angle
+    sine, cosine = np.sin(angle), np.cos(angle)
+    along = (a * x + b * y + c * z) * (1.0 - cosine)
+    return (
+        along * a + cosine * x + sine * (b * z - c * y),
+        along * b + cosine * y + sine * (c * x - a * z),
+        along * c + cosine * z + sine * (a * y - b * x),
+    )
 
 
+@njit(cache=True, error_model="numpy")
 def _off(
-    numbers: tuple[F64, F64, F64], p: F64, k: I64, of: I64, t: F64, local: F64 | None = None
-) -> tuple[F64, F64]:
-    """How far points are off their rays, up and aside, radians; ``local``: added to the 15 numbers that each point has."""
-    own = np.concatenate([numbers[0][k], numbers[1][of], np.broadcast_to(numbers[2], (len(k), 6))], axis=1)
-    if local is not None:
-        own = own + local
-    # Back to the sensor: what is left is the elevation and the azimuth of its own lasers.
-    q = _turned(p - t[:, None] * own[:, 9:12], -t[:, None] * own[:, 12:15]) - own[:, 2:5]
-    q = _turned(q, -own[:, 5:8])
-    rho = np.hypot(q[:, 0], q[:, 1])
-    up = np.arctan2(q[:, 2], rho) - own[:, 0]
-    aside = np.arctan2(q[:, 1], q[:, 0]) - own[:, 1] - own[:, 8] * t
-    aside = np.angle(np.exp(1j * aside)) * np.cos(own[:, 0])
-    return up, aside
+    of_laser: F64, of_sensor: F64, motion: F64, p: F64, k: I64, of: I64, t: F64, change: F64
+) -> NDArray[np.float64]:
+    """How far points are off their rays, ``(2, N)``: up and aside, radians; ``change``: of the 15 numbers that each point has."""
+    off = np.empty((2, len(p)))
+    for i in range(len(p)):
+        s, here, there = t[i], of_laser[k[i]], of_sensor[of[i]]
+        elevation = here[0] + change[0]
+        # Back to the sensor: what is left is the elevation and the azimuth of its own lasers.
+        x, y, z = _turned(
+            p[i, 0] - s * (motion[0] + change[9]), p[i, 1] - s * (motion[1] + change[10]),
+            p[i, 2] - s * (motion[2] + change[11]),
+            -s * (motion[3] + change[12]), -s * (motion[4] + change[13]), -s * (motion[5] + change[14]),
+        )  # fmt: skip
+        x, y, z = _turned(
+            x - there[0] - change[2], y - there[1] - change[3], z - there[2] - change[4],
+            -there[3] - change[5], -there[4] - change[6], -there[5] - change[7],
+        )  # fmt: skip
+        off[0, i] = np.arctan2(z, np.sqrt(x * x + y * y)) - elevation
+        aside = np.arctan2(y, x) - here[1] - change[1] - (there[6] + change[8]) * s
+        off[1, i] = (aside - _TURN * np.rint(aside / _TURN)) * np.cos(elevation)
+    return off
 
 
 @njit(cache=True, error_model="numpy")
@@ -108,19 +156,17 @@ def _normal(change: F64, at: I64, off: F64, weight: F64, size: int) -> tuple[F64
     return normal, right
 
 
-def _improved(
-    numbers: tuple[F64, F64, F64], p: F64, k: I64, of: I64, t: F64
-) -> tuple[tuple[F64, F64, F64], float]:
+def _improved(numbers: Numbers, p: F64, k: I64, of: I64, t: F64) -> tuple[Numbers, float]:
     """One damped Gauss-Newton step on all numbers, points that are far off counting less; and what half were off by before it."""
     lasers, sensors = len(numbers[0]), len(numbers[1])
     ends = np.cumsum([_OF_LASER * lasers, _OF_SENSOR * sensors])
-    off = np.stack(_off(numbers, p, k, of, t))
+    off = _off(*numbers, p, k, of, t, _NO_CHANGE)
     change = np.empty((2, len(_STEPS), len(p)))
     at = np.empty((len(_STEPS), len(p)), np.int64)
     for j, step in enumerate(_STEPS):
         local = np.zeros(len(_STEPS))
         local[j] = step
-        change[:, j] = (np.stack(_off(numbers, p, k, of, t, local)) - off) / step
+        change[:, j] = (_off(*numbers, p, k, of, t, local) - off) / step
         if j < _OF_LASER:
             at[j] = _OF_LASER * k + j
         elif j < _OF_LASER + _OF_SENSOR:
@@ -132,6 +178,23 @@ def _improved(
     weight = 1.0 / np.sqrt(1.0 + (off / scale) ** 2) / scale
     normal, right = _normal(change, at, off, weight, int(ends[1]) + 6)
     normal[np.diag_indices_from(normal)] += _DAMPING * np.trace(normal) / len(normal)
-    parts = np.split(-np.linalg.solve(normal, right), ends)
-    better = tuple(old + new.reshape(old.shape) for old, new in zip(numbers, parts, strict=True))
+    first, second, third = np.split(-_solved(normal, right, int(ends[0])), ends)
+    of_laser, of_sensor, motion = numbers
+    better = (
+        of_laser + first.reshape(-1, _OF_LASER),
+        of_sensor + second.reshape(-1, _OF_SENSOR),
+        motion + third,
+    )
     return better, float(half.sum())
+
+
+def _solved(normal: F64, right: F64, n: int) -> F64:
+    """Solve normal equations whose first ``n`` numbers, two of each laser, meet only those of the same laser and the others."""
+    blocks = np.array([normal[i : i + _OF_LASER, i : i + _OF_LASER] for i in range(0, n, _OF_LASER)])
+    border = normal[:n, n:].reshape(len(blocks), _OF_LASER, -1)
+    known = np.linalg.solve(blocks, np.concatenate([border, right[:n].reshape(-1, _OF_LASER, 1)], axis=2))
+    by_border, by_right = known[:, :, :-1].reshape(n, -1), known[:, :, -1].reshape(n)
+    others = np.linalg.solve(
+        normal[n:, n:] - normal[n:, :n] @ by_border, right[n:] - normal[n:, :n] @ by_right
+    )
+    return np.concatenate([by_right - by_border @ others, others])

@@ -22,6 +22,7 @@ from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
 from salpcc.stages.strays.aimed_strays import Motion, choose, count_off, read_body, write_body
 from salpcc.stages.strays.aimed_stream import Aimed, Way
 from salpcc.stages.strays.aimed_symbols import OFF
+from salpcc.stages.strays.fit_turning import Fitted
 from salpcc.stages.strays.list_layout import find_layout
 from salpcc.stages.strays.moved_strays import body_of, read_moved, write_moved
 from salpcc.stages.strays.ray_coder import F32, Layout
@@ -75,6 +76,7 @@ class Plan:
     chosen: tuple[Way, Aimed] | None = None
     lanes: NDArray[np.uint8] | None = None
     coded: tuple[int, bytes, Timeline] | None = None
+    turning: Fitted | None = None  # of form TIMED
 
     @property
     def told(self) -> Timeline | None:
@@ -96,6 +98,7 @@ def plan(
     lanes: NDArray[np.uint8] | None = None,
     times: NDArray[np.int64] | None = None,
     like: Layout | None = None,
+    turning: Fitted | None = None,
 ) -> Plan:
     """Plan how to encode points ``(S, 3)``.
 
@@ -106,6 +109,7 @@ def plan(
         lanes: the laser of each ``(S,)``, where the sensor tells; a guess will do.
         times: of each ``(S,)``, where they are told.
         like: the layout of the scan before, which exact points are taken to have, too, where it is a likely one.
+        turning: of the scan before, which the search for rays begins with.
     """
     lanes = lanes if len(points) >= _FEWEST else None
     points = np.ascontiguousarray(points)
@@ -126,9 +130,9 @@ def plan(
     layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes, like)
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
     if exact and lanes is not None and times is not None:
-        timed = write_timed(points, lanes, times, form, per)
+        timed = write_timed(points, lanes, times, form, per, turning)
         if timed is not None and len(timed[0]) < len(encode_strays(np.arange(len(points)), rays)):
-            return replace(rays, coded=(TIMED, *timed))
+            return replace(rays, coded=(TIMED, *timed[:2]), turning=timed[2])
     return min(aimed, rays, key=_size) if aimed else rays
 
 

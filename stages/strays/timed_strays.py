@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
-from salpcc.stages.strays.fit_turning import fit_turning
+from salpcc.stages.strays.fit_turning import Fitted, fit_again, fit_turning
 from salpcc.stages.strays.ray_coder import F32
 from salpcc.stages.strays.ray_forms import BITS, GRID, HALVES
 from salpcc.stages.strays.timed_coder import code_timed, new_models
@@ -29,23 +29,34 @@ _NEARLY = 1.1  # of the shortest; then rays tell which lasers are of one sensor
 Array = NDArray[np.uint8]
 
 
-def write_timed(points: F32, laser: Lasers, time: I64, form: int, per: int) -> tuple[bytes, Timeline] | None:
-    """Encode points ``(S, 3)`` of lasers ``(S,)`` at times ``(S,)``; None where they do not go round, or a reader would have others."""
+def write_timed(
+    points: F32, laser: Lasers, time: I64, form: int, per: int, like: Fitted | None = None
+) -> tuple[bytes, Timeline, Fitted] | None:
+    """Encode points ``(S, 3)`` of lasers ``(S,)`` at times ``(S,)``; None where they do not go round, or a reader would have others.
+
+    Args:
+        like: the rays of the scan before, to begin with.
+    """
     if not _FEWEST <= len(points) <= _MOST_POINTS:
         return None
     lines = find_timelines(laser, time)
     if not lines or 8 * len(lines[0][1]) > _HOPELESS * len(points):
         return None
     wide, lasers, scaled = points.astype(np.float64), laser.astype(np.int64), _scaled(time)
-    best, line, told, turning = _LOOSE, *lines[0], None
-    for one, coded in lines:
-        if len(coded) > _NEARLY * len(lines[0][1]):
-            break
-        fitted = fit_turning(wide, lasers, one.group, scaled)
-        if fitted is not None and fitted[1] < best:
-            best, line, told, turning = fitted[1], one, coded, fitted[0]
-    if turning is None:
+    lines = [(line, told) for line, told in lines if len(told) <= _NEARLY * len(lines[0][1])]
+    best: tuple[Fitted, Timeline, bytes] | None = None
+    for line, told in lines:
+        fitted = None if like is None else fit_again(wide, lasers, line.group, scaled, like)
+        if fitted is not None and (best is None or fitted[1] < best[0][1]):
+            best = fitted, line, told
+    for line, told in lines if best is None else []:
+        fitted = fit_turning(wide, lasers, line.group, scaled)
+        if fitted is not None and fitted[1] < (_LOOSE if best is None else best[0][1]):
+            best = fitted, line, told
+    if best is None:
         return None
+    fitted, line, told = best
+    turning = fitted[0]
     out = np.empty(48 * len(points) + 4096, np.uint8)
     state, back = start_encoder(), points.copy()
     _code(True, back, line, turning, form, per, state, out)
@@ -54,7 +65,7 @@ def write_timed(points: F32, laser: Lasers, time: I64, form: int, per: int) -> t
         return None
     rays = _RAYS.pack(form, len(turning.lasers) - 1, len(turning.sensors))
     numbers = b"".join(a.astype("<f4").tobytes() for a in (turning.lasers, turning.sensors, turning.motion))
-    return _BODY.pack(len(told)) + told + rays + numbers + out[:written].tobytes(), line
+    return _BODY.pack(len(told)) + told + rays + numbers + out[:written].tobytes(), line, fitted
 
 
 def read_timed(n: int, per: int, data: Array) -> tuple[F32, Timeline, bool]:

@@ -17,6 +17,7 @@ from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.value_models import ValueModels, value_models
+from salpcc.stages.strays.fit_turning import Fitted
 from salpcc.stages.strays.ray_coder import Layout
 
 
@@ -40,9 +41,10 @@ class GopState:
     envelope: bytearray = field(default_factory=bytearray)  # of the recorded message before
     fields: FieldModes = field(default_factory=FieldModes)  # of recorded messages; an encoder's business only
     before: Sweep | None = None  # the scan decoded last
-    # An encoder's business only: layouts of lists of points by topic, with the bytes a point that they took, and scans in a row
-    # whose points did not follow from their times.
+    # An encoder's business only: layouts of lists of points by topic, with the bytes a point that they took; rays that turn; and
+    # scans in a row whose points did not follow from their times.
     layouts: dict[str, tuple[Layout, float]] = field(default_factory=dict)
+    turning: dict[str, Fitted] = field(default_factory=dict)
     timeless: int = 0
     _values: dict[str, ValueModels] = field(default_factory=dict)
 

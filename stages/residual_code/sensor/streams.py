@@ -99,7 +99,10 @@ class Encoding:
         found = plan(
             sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
             lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],
+            turning=self.state.turning.get(self.topic),
         )  # fmt: skip
+        if found.turning is not None:
+            self.state.turning[self.topic] = found.turning
         if times is not None:
             self.state.timeless = 0 if found.coded is not None else self.state.timeless + 1
         return found

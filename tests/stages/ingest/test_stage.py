@@ -1,11 +1,13 @@
 """The ingest stage: a scan that fails is told of, the others go on."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import facts_of, table_to_sweeps
@@ -15,6 +17,8 @@ from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice import sweep as sweep_module
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import sweep_to_scan
+
+CLOUD = Cloud("/points", "cdr", b"", b"", b"", np.empty((0, 0), np.uint8))
 
 
 def gop_of(root: Path, sequence: str) -> GopSource:
@@ -56,10 +60,10 @@ def test_a_kernel_that_breaks_on_one_scan_costs_that_scan(
 ) -> None:
     real = stage.scan_to_sweep
 
-    def breaks(scan, sensor, start, by_list):  # type: ignore[no-untyped-def]
+    def breaks(scan, sensor, start, seek):  # type: ignore[no-untyped-def]
         if scan.name == "000001":
             raise ZeroDivisionError("odd scan")
-        return real(scan, sensor, start, by_list)
+        return real(scan, sensor, start, seek)
 
     monkeypatch.setattr(stage, "scan_to_sweep", breaks)
     table = stage.run(gop_of(toy_root, "01"), RunConfig())
@@ -73,7 +77,7 @@ def test_motion_starts_from_the_scan_before_only_where_frames_are_consecutive(
     starts = []
     real = stage.scan_to_sweep
 
-    def spy(scan, sensor, start, by_list):  # type: ignore[no-untyped-def]
+    def spy(scan, sensor, start, seek):  # type: ignore[no-untyped-def]
         starts.append(start is not None)
         sweep = real(scan, sensor, start)
         return type(sweep)(**{**vars(sweep), "motion": np.zeros(6)})
@@ -83,14 +87,19 @@ def test_motion_starts_from_the_scan_before_only_where_frames_are_consecutive(
     assert starts == [False, True, False]
 
 
+@pytest.mark.parametrize("logged", [False, True])
 def test_what_was_sought_in_vain_twice_is_sought_no_more(
-    monkeypatch: pytest.MonkeyPatch, sensor: SensorModel
+    monkeypatch: pytest.MonkeyPatch, sensor: SensorModel, logged: bool
 ) -> None:
     rng = np.random.default_rng(0)
     sought: list[int] = []
+    turns: list[int] = []  # a folder's scans are of the sensor that was named, most likely
+    monkeypatch.setattr(sweep_module, "solve_motion", lambda points, _: turns.append(len(points)))
     monkeypatch.setattr(sweep_module, "find_motion", lambda points, _: sought.append(len(points)))
     project = stage.Projector(sensor)
     for number in range(5):
         points = rng.normal(0, 9, (300 + number, 3)).astype(np.float32)
-        project(number, Scan(f"{number:06d}", points, np.zeros(len(points), np.float32)))
+        scan = Scan(f"{number:06d}", points, np.zeros(len(points), np.float32))
+        project(number, replace(scan, cloud=CLOUD) if logged else scan)
     assert sought == [300, 301]
+    assert turns == (sought if logged else [300, 301, 302, 303, 304])

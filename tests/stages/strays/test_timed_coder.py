@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from salpcc.stages.entropy.number_forms import spans_of
 from salpcc.stages.residual_code.message.field_coder import TOLD, Points, decode_field, encode_field
+from salpcc.stages.strays import timed_strays
 from salpcc.stages.strays.stray_coder import TIMED, decode_strays, encode_strays, plan
 from salpcc.stages.strays.timeline import Timeline, decode_timeline, encode_timeline, find_timelines
 
@@ -62,6 +63,23 @@ def test_fewer_bits_than_rays_that_are_guessed(merged: Listed) -> None:
     guessed = encode_strays(np.arange(len(points)), plan(points, 0.0, lanes=laser))
     assert len(data) < 0.75 * len(guessed)
     assert 8 * len(data) < 14 * len(points)
+
+
+def test_the_rays_of_the_scan_before_are_a_start_and_no_more(
+    merged: Listed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points, laser, time = merged
+    first = plan(points, 0.0, lanes=laser, times=time)
+    assert first.turning is not None
+    cold = timed_strays.fit_turning
+    monkeypatch.setattr(timed_strays, "fit_turning", lambda *_: pytest.fail("sought anew"))
+    again = plan(points[40:], 0.0, lanes=laser[40:], times=time[40:], turning=first.turning)
+    assert again.coded is not None and again.coded[0] == TIMED
+    assert again.turning is not None and again.turning[1] < 1.2 * first.turning[1]
+    monkeypatch.setattr(timed_strays, "fit_turning", cold)
+    other = points[:, [1, 0, 2]]  # turns the other way
+    found = plan(other, 0.0, lanes=laser, times=time, turning=first.turning)
+    assert encode_strays(np.arange(len(other)), found) == coded(other, laser, time)[0]
 
 
 def test_the_fields_that_are_told_cost_nothing(merged: Listed) -> None:
