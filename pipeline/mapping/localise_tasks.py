@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,11 @@ from salpcc.schemas.work import ScanRef, ShardRef, digest_of
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.report.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.mapping.deskew import deskewed, motion_of, turns_before
 from salpcc.stages.mapping.registration import Method, icp, rotation_error, translation_error
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
-VERSION = 2
+VERSION = 3  # 3: raw scans de-skewed, too
 _METHODS: dict[str, Method] = {"point to point": "point", "point to plane": "plane"}
 _ROUNDS = 12  # of halving, to find the error at which a rival takes as many bits
 
@@ -93,6 +94,8 @@ def register_stretch(stretch: Stretch, rivals: Sequence[Rival], thin: int, out: 
     if store.found(ref) is not None:
         return ref
     opened = [(Archive(path), _bits(ArchiveReader(path))) for path in stretch.archives]
+    first = opened[0][0]
+    raw = all(first[place].motion is None for places in stretch.places for place in places)
     rows: list[dict[str, Any]] = []
     for pair, places, refs, step in zip(
         stretch.pairs, stretch.places, stretch.refs, stretch.steps, strict=True
@@ -102,6 +105,8 @@ def register_stretch(stretch: Stretch, rivals: Sequence[Rival], thin: int, out: 
             for place, source in zip(places, refs, strict=True)
         ]
         truth = np.array(step).reshape(4, 4)
+        if raw:
+            clouds = [[*of, *(_deskewed(cloud, motion_of(truth, 1)) for cloud in of)] for of in clouds]
         known: dict[tuple[int, int, str], NDArray[np.float64]] = {}
         for before, after in zip(*clouds, strict=True):
             known_classes = before.movable is not None and after.movable is not None
@@ -159,6 +164,13 @@ def _theirs(scan: Scan, rivals: Sequence[Rival]) -> Iterator[_Cloud]:
         marks = np.repeat([False, True], [len(part) for part in back])
         bits = 8 * sum(map(len, data)) / len(rows)
         yield _Cloud(rival.name, rival.max_error, bits, np.concatenate(back), marks)
+
+
+def _deskewed(cloud: _Cloud, motion: NDArray[np.float64]) -> _Cloud:
+    """Return a raw cloud as it is de-skewed by the true motion ``(6,)`` per turn."""
+    before = turns_before(Scan("", cloud.points, np.empty(0, np.float32)))
+    points = deskewed(cloud.points, before, motion).astype(np.float32)
+    return replace(cloud, cloud=f"{cloud.cloud}, de-skewed", points=points)
 
 
 def _known_movable(archive: Archive, scan: Scan) -> NDArray[np.bool_] | None:

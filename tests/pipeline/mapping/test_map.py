@@ -411,19 +411,39 @@ def raw_root(root: Path, archive: Path, tmp_path_factory: pytest.TempPathFactory
     return out.parents[1]
 
 
-def test_a_raw_drive_with_spoiled_poses_makes_a_clean_map(
-    request_: Callable[..., MapRequest], raw_root: Path, poses: Path, tmp_path: Path
-) -> None:
-    """Scans are de-skewed and poses refined."""
+@pytest.fixture(scope="module")
+def raw_archive(raw_root: Path) -> Path:
     config = RunConfig(source="simulated", labels="given", effort="fast", gop=5)
     graph = GraphOptions(last="residual_code")
-    run_sequences(
-        RunRequest(config, [SEQUENCE], tmp_path / "run", raw_root, workers=0, graph=graph, quiet=True)
-    )
+    out = raw_root / "run"
+    run_sequences(RunRequest(config, [SEQUENCE], out, raw_root, workers=0, graph=graph, quiet=True))
+    return out / "archives" / f"{SEQUENCE}.mcap"
+
+
+@pytest.mark.usefixtures("open3d")
+def test_raw_scans_are_registered_de_skewed_too(raw_root: Path, raw_archive: Path, tmp_path: Path) -> None:
+    """Beside the rows of Table V as they are recorded."""
+    request = LocaliseRequest([raw_archive], raw_root, tmp_path, every=9, thin=32, workers=0, quiet=True)
+    rows = {
+        (row["cloud"], row["movable"], row["method"]): row for row in registration_figures(localise(request))
+    }
+    kinds = ("source", "sensor", "source, de-skewed", "sensor, de-skewed")
+    assert {cloud for cloud, *_ in rows} == set(kinds) and len(rows) == 16
+    for movable in (True, False):
+        as_recorded, moved = (rows[kind, movable, "point to plane"] for kind in (kinds[0], kinds[2]))
+        assert moved["rotation_deg_mean"] != as_recorded["rotation_deg_mean"]
+        ours = rows[kinds[3], movable, "point to plane"]
+        assert ours["pairs"] == 1 and ours["translation_m_mean"] == moved["translation_m_mean"]
+
+
+def test_a_raw_drive_with_spoiled_poses_makes_a_clean_map(
+    request_: Callable[..., MapRequest], raw_root: Path, raw_archive: Path, poses: Path, tmp_path: Path
+) -> None:
+    """Scans are de-skewed and poses refined."""
     spoiled = raw_root / "sequences" / SEQUENCE / "poses.txt"
     asked = request_(
         tmp_path / "map",
-        archives=[tmp_path / "run" / "archives" / f"{SEQUENCE}.mcap"],
+        archives=[raw_archive],
         poses=[str(spoiled)],
         against=raw_root,
     )
