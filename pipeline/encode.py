@@ -18,7 +18,7 @@ from salpcc.schemas.errors import ArchiveError, KindError, UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.shards import LAYER_COUNTS
+from salpcc.schemas.shards import ASIDE, LAYER_COUNTS
 from salpcc.stages.coding import code
 from salpcc.stages.ingest.arrays import Array, is_array, scan_from_arrays
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
@@ -175,7 +175,7 @@ def payloads_of(table: pa.Table) -> list[ScanPayload]:
 
     return [
         payload(row, row, row["movable"] and payload(row["movable"], row, None))
-        for row in table.drop_columns(["dropped_classes", "found_classes"]).to_pylist()
+        for row in table.drop_columns(list(ASIDE)).to_pylist()
     ]
 
 

@@ -92,6 +92,10 @@ _LAYER_FIELDS = [
     pa.field("data", pa.large_binary(), nullable=False),
     pa.field("coded_labels", pa.large_binary(), nullable=False),  # empty where there are none
 ]
+# Of both layers by laser: returns, and the bits of their ranges; for the catalogue only.
+OF_LASERS = pa.schema(
+    [pa.field("laser_returns", list_of(pa.int32())), pa.field("laser_bits", list_of(pa.float32()))]
+)
 PAYLOAD = pa.schema(
     [
         pa.field("name", pa.string(), nullable=False),
@@ -99,10 +103,13 @@ PAYLOAD = pa.schema(
         pa.field("frame_id", pa.string(), nullable=False),
         *_LAYER_FIELDS,
         pa.field("movable", pa.struct(_LAYER_FIELDS)),
+        *OF_LASERS,
         _DROPPED,
         _FOUND,
     ]
 )
+
+ASIDE = ("dropped_classes", "found_classes", *OF_LASERS.names)  # in no archive
 
 # The schema that each stage's table has; evaluate owns its own (one row per scan, any columns).
 

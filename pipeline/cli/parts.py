@@ -33,7 +33,7 @@ def register(app: typer.Typer) -> None:
     app.command(
         epilog="Example:  `salpcc-pipeline find out 'person > 50 and speed < 1' --export people`  ·  columns: points, "
         "static, movable, ground, other, every class (person, car, other_vehicle, …), speed (m/s), yaw_rate (rad/s), "
-        "bits (a point), bytes, fallback, name, sequence, time (ns), gop and more, which a mistake in the condition lists"
+        "bits (a point), bytes, silent_lasers, laser_excess (bits that a sick laser costs more), fallback, name, sequence, time (ns), gop and more, which a mistake in the condition lists"
     )(find)
     app.command(
         epilog="Examples:  `salpcc-pipeline cut out/archives/04.mcap --frames 100:200 --out part.mcap`  ·  "

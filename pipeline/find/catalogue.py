@@ -53,6 +53,12 @@ CATALOGUE = pa.schema(
         *((f"bytes_{name}", pa.int64()) for name in STREAMS),
         ("bits", pa.float64()),  # per point of the source: far from its neighbours' it tells of a sick sensor
         *((f"bits_{name}", pa.float64()) for name in STREAMS),
+        # Health of the sensor, by laser: returns, and bits a return of its range (null for a laser without returns).
+        ("laser_returns", pa.list_(pa.int32())),
+        ("laser_bits", pa.list_(pa.float32())),
+        ("silent_lasers", pa.int32()),  # lasers without returns
+        # The most bits that a laser costs more than both beside it; well HDL-64E in streets stay below 0.7.
+        ("laser_excess", pa.float64()),
         ("bit_exact", pa.bool_()),
         ("max_error_m", pa.float64()),
         ("decode_ms", pa.float64()),
@@ -81,6 +87,7 @@ def catalogue_of(metrics: pa.Table, poses: Mapping[tuple[str, str], F64] = _NONE
     columns |= _counts(metrics)
     columns |= _motion(metrics)
     columns |= _places(metrics, poses)
+    columns |= _lasers(metrics)
     columns["bytes"] = sum_of(sizes.values())
     for name, size in {"bits": columns["bytes"], **{f"bits_{n}": s for n, s in sizes.items()}}.items():
         bits = pc.divide(pc.multiply(size.cast(pa.float64()), 8.0), points.cast(pa.float64()))
@@ -132,6 +139,30 @@ def _motion(metrics: pa.Table) -> dict[str, pa.Array]:
         speed, yaw_rate = np.linalg.norm(motion[:, :3], axis=1) / turn, -motion[:, 5] / turn
     known = np.isfinite(speed)
     return {"speed": pa.array(speed, mask=~known), "yaw_rate": pa.array(yaw_rate, mask=~known)}
+
+
+def _lasers(metrics: pa.Table) -> dict[str, pa.Array]:
+    """Bits a return by laser, and what stands out; the first and the last laser have but one beside them."""
+    rows: list[dict[str, Any]] = []
+    for row in metrics.select(["laser_returns", "laser_bits"]).to_pylist():
+        if row["laser_bits"] is None:
+            rows.append({})
+            continue
+        returns = np.array(row["laser_returns"])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            bits = np.where(returns > 0, np.array(row["laser_bits"]) / returns, np.nan)
+            beside = np.fmax(np.append(np.nan, bits[:-1]), np.append(bits[1:], np.nan))
+        excess = (bits - beside)[np.isfinite(bits - beside)]
+        rows.append(
+            {
+                "laser_returns": row["laser_returns"],
+                "laser_bits": [None if np.isnan(b) else float(b) for b in bits],
+                "silent_lasers": int((returns == 0).sum()),
+                "laser_excess": float(excess.max()) if len(excess) else None,
+            }
+        )
+    names = ("laser_returns", "laser_bits", "silent_lasers", "laser_excess")
+    return {name: pa.array([row.get(name) for row in rows], CATALOGUE.field(name).type) for name in names}
 
 
 def _places(metrics: pa.Table, poses: Mapping[tuple[str, str], F64]) -> dict[str, pa.Array]:

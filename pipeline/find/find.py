@@ -6,6 +6,7 @@ columns and do nothing else.
 
 from __future__ import annotations
 
+import json
 import re
 import sqlite3
 from contextlib import closing
@@ -57,8 +58,10 @@ def find(catalogue: pa.Table, condition: str) -> pa.Table:
 
 
 def _values(catalogue: pa.Table, name: str) -> list[Any]:
-    """A column as SQLite takes it: its whole numbers end below ``2 ** 63``, larger ones become floats."""
+    """A column as SQLite takes it: its whole numbers end below ``2 ** 63``, larger ones become floats; lists are JSON."""
     values = catalogue.column(name).to_pylist()
+    if isinstance(catalogue.schema.field(name).type, pa.ListType):
+        return [value and json.dumps(value) for value in values]
     return [float(v) if isinstance(v, int) and v >= 1 << 63 else v for v in values]
 
 

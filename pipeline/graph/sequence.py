@@ -23,7 +23,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import unreachable
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.shards import list_array
+from salpcc.schemas.shards import ASIDE, OF_LASERS, list_array
 from salpcc.schemas.work import GopSource, Known, ScanRef, ShardRef, digest_of
 from salpcc.stages.coding import STAGES
 from salpcc.stages.evaluate import stage as evaluate
@@ -144,11 +144,11 @@ def known_files(plan: SequencePlan, results: list[GopResult]) -> Known:
 
 
 def _payloads(store: ShardStore, result: GopResult, dropped: ShardRef) -> list[ScanPayload]:
-    """The payloads of a GOP; classes that the archive does not hold are put aside for the evaluation."""
+    """The payloads of a GOP; what is known of its scans and not in the archive is put aside for the evaluation."""
     if result.failed:
         return []
     table, _ = store.read(dict(result.shards)["residual_code"])
-    aside = table.select(["name", "dropped_classes", "found_classes"])
+    aside = table.select(["name", *ASIDE])
     if any(aside.column(name).null_count < len(aside) for name in aside.column_names[1:]):
         store.write(dropped, aside, {"stage": "evaluate"})
     return payloads_of(table)
@@ -179,7 +179,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
         entries = reader.entries[gop.number]
         names = {entry.name for entry in entries}
         layers = {payload.entry.name: payload for payload in moving}
-        dropped, found = _aside(store, gop, inputs)
+        dropped, found, of_lasers = _aside(store, gop, inputs)
         if reader.movable == "layered":  # it is all there
             dropped = dict.fromkeys(names)
         refs = [scan for scan in gop.scans if scan.name in names]
@@ -193,6 +193,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
                     | {"movable": reader.movable}
                     | _of_layers(payload, layers.get(payload.entry.name))
                     | _off_lattice(config, payload, layers.get(payload.entry.name))
+                    | of_lasers.get(entry.name, {})
                     for entry, payload in zip(entries, payloads, strict=True)
                 ]
             ),
@@ -216,21 +217,24 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
 _Aside = dict[str, NDArray[np.uint8] | None]
 
 
-def _aside(store: ShardStore, gop: GopSource, inputs: str) -> tuple[_Aside, _Aside]:
-    """By scan, the classes of what was dropped, and those of all points as they were found.
+def _aside(
+    store: ShardStore, gop: GopSource, inputs: str
+) -> tuple[_Aside, _Aside, dict[str, dict[str, Any]]]:
+    """By scan, the classes of what was dropped, those of all points as they were found, and what is known of the lasers.
 
     Empty where nobody put them aside (another run's archive).
     """
     ref = _dropped_ref(store, gop, inputs)
     if not store.has(ref):
-        return {}, {}
+        return {}, {}, {}
     table, _ = store.read(ref)
     names = table.column("name").to_pylist()
     dropped, found = (
         {name: list_array(table, column, row) for row, name in enumerate(names)}
         for column in ("dropped_classes", "found_classes")
     )
-    return dropped, found
+    of_lasers = table.select(list(OF_LASERS.names)).to_pylist()
+    return dropped, found, dict(zip(names, of_lasers, strict=True))
 
 
 def _of_layers(static: ScanPayload, movable: ScanPayload | None) -> dict[str, Any]:

@@ -121,6 +121,8 @@ def _sizes(payload: Mapping[str, Any]) -> dict[str, Any]:
         "bytes_classes": payload["classes"],
         "bytes_side": payload["side"],
         "checksum": payload.get("checksum"),
+        "laser_returns": payload.get("laser_returns"),
+        "laser_bits": payload.get("laser_bits"),
     }
 
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from salpcc.schemas.config import RunConfig
@@ -21,7 +22,8 @@ from salpcc.schemas.shards import (
     table_to_sweeps,
 )
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.lattice.sensor_model import load_sensor
+from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
+from salpcc.stages.predict.laser_bits import laser_bits
 from salpcc.stages.residual_code.label_coder import encode_labels
 from salpcc.stages.residual_code.paper.grid_coder import encode_grid
 from salpcc.stages.residual_code.paper.grid_streams import GridState
@@ -29,7 +31,7 @@ from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import encode_scan
 from salpcc.stages.residual_code.stream import Payload
 
-VERSION = 9
+VERSION = 10
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
@@ -53,7 +55,7 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
         labels_ms += 1e3 * (time.thread_time() - start)
         return _layer(sweep, payload, dropped) | {"coded_labels": coded}
 
-    for i, (sweep, payload, movable) in enumerate(coded):
+    for i, (sweep, payload, movable, of_lasers) in enumerate(coded):
         dropped = task.column("dropped_movable")[i].as_py()
         rows.append(
             {
@@ -62,6 +64,7 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
                 "frame_id": sweep.frame_id,
                 **layer(sweep, payload, dropped),
                 "movable": movable and layer(*movable, 0),
+                **of_lasers,
             }
         )
     of_task = ("dropped_classes", "found_classes")
@@ -85,7 +88,8 @@ def _layer(sweep: Sweep | GridSweep, payload: Payload, dropped: int) -> dict[str
     }
 
 
-_Coded = tuple[Sweep | GridSweep, Payload, tuple[Sweep, Payload] | None]  # the last: the movable layer
+# A scan or its static layer, the movable one, and what is known of its lasers.
+_Coded = tuple[Sweep | GridSweep, Payload, tuple[Sweep, Payload] | None, dict[str, Any]]
 
 
 def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
@@ -99,9 +103,16 @@ def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator
     ):
         payload = encode_scan(sweep, sensor, predicted, state)
         if layer is None or guess is None:
-            yield sweep, payload, None
+            yield sweep, payload, None, _of_lasers(sensor, (sweep, predicted))
         else:
-            yield sweep, payload, (layer, encode_scan(layer, sensor, guess, layer_state, sweep))
+            moving = layer, encode_scan(layer, sensor, guess, layer_state, sweep)
+            yield sweep, payload, moving, _of_lasers(sensor, (sweep, predicted), (layer, guess))
+
+
+def _of_lasers(sensor: SensorModel, *layers: tuple[Sweep, Prediction]) -> dict[str, Any]:
+    returns = sum(np.bincount(sweep.laser, minlength=sensor.n_lasers) for sweep, _ in layers)
+    bits = sum(laser_bits(sweep, predicted, sensor.n_lasers) for sweep, predicted in layers)
+    return {"laser_returns": np.asarray(returns, np.int32), "laser_bits": np.asarray(bits, np.float32)}
 
 
 def _grids(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
@@ -110,4 +121,4 @@ def _grids(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunCo
         table_to_grids(task), table_to_planes(planes), table_to_grid_predictions(prediction), strict=True
     )
     for sweep, fitted, predicted in given:
-        yield sweep, encode_grid(sweep, fitted, predicted, models), None
+        yield sweep, encode_grid(sweep, fitted, predicted, models), None, {}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-VERSION = 8
+VERSION = 9
 
 # One row per scan, measured on what was decoded from the archive. A null in a measured column means that
 # there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
@@ -41,6 +41,8 @@ METRICS = pa.schema(
         ("decode_ms", pa.float64()),  # CPU
         ("motion", pa.list_(pa.float64())),  # v, w: metres and radians per turn; null where none is known
         ("checksum", pa.string()),  # of the payload of each layer
+        ("laser_returns", pa.list_(pa.int32())),  # by laser
+        ("laser_bits", pa.list_(pa.float32())),  # of the ranges of all its returns
         ("class_counts", pa.list_(pa.int64())),  # points of the source by class; null where none were found
         ("in_order", pa.bool_()),  # errors compared in file order; else to the nearest point both ways
         (

@@ -19,6 +19,7 @@ TOKENS = 65
 _PLAIN = 32
 _PLAIN_SIZE = 5
 _HIGH, _LOW = 11, 10  # even bits of an escaped residual, below 2 ** 20 in magnitude
+ESCAPED_BITS = _HIGH + _LOW
 _LARGE = 20  # contexts of an octave of expected errors
 
 

@@ -139,6 +139,36 @@ def made_up(n: int) -> pa.Table:
     )
 
 
+def test_lasers_that_are_sick_are_found(out: Path) -> None:
+    """Each laser of a run has a row's worth of returns; then one that is silent, and one that costs more than those beside it."""
+    lasers = [(row["laser_returns"], row["laser_bits"]) for row in read_catalogue(out).to_pylist()]
+    for row, (returns, bits) in zip(read_catalogue(out).to_pylist(), lasers, strict=True):
+        assert len(returns) == len(bits) == 64 and row["points"] - row["fallback"] == sum(returns)
+        assert all(
+            (bit is None) == (n == 0) and (bit is None or 0 < bit < 20)
+            for n, bit in zip(returns, bits, strict=True)
+        )
+        assert row["silent_lasers"] == returns.count(0)
+    made = [
+        {
+            "sequence": "00",
+            "name": name,
+            "time": 0,
+            "points_in": 9,
+            "laser_returns": [2, 2, 0, 2, 2],
+            "laser_bits": sums,
+        }
+        for name, sums in (("well", [4, 5, 0, 6, 6]), ("noisy", [4, 5, 0, 6, 22]))
+    ]
+    catalogue = catalogue_of(
+        pa.Table.from_pylist([*made, {"sequence": "00", "name": "grid", "time": 0, "points_in": 9}], METRICS)
+    )
+    assert catalogue.column("laser_bits").to_pylist() == [[2, 2.5, None, 3, 3], [2, 2.5, None, 3, 11], None]
+    assert catalogue.column("laser_excess").to_pylist() == [0.5, 8, None]
+    assert find(catalogue, "silent_lasers > 0 and laser_excess > 3").column("name").to_pylist() == ["noisy"]
+    assert find(catalogue, "json_extract(laser_bits, '$[4]') > 3").column("name").to_pylist() == ["noisy"]
+
+
 def test_conditions_are_sql() -> None:
     catalogue = made_up(200)
     rows = catalogue.to_pylist()
