@@ -63,7 +63,7 @@ def neighbours(
         corner = above
         if i > period and void[i - period - 1] == void[i]:
             corner = values[i - period - 1]
-    return left, second, above, corner
+    return int(left), int(second), int(above), int(corner)
 
 
 @njit(cache=True)
@@ -128,7 +128,7 @@ def _code_residual(
     magnitude = abs(residual)
     size = _size(magnitude)
     if code_mixed_bit(writing, state, buffer, a, f, b, g, 1 if size > 0 else 0) == 0:
-        return np.int64(0), 0
+        return 0, 0
     negative = code_mixed_bit(writing, state, buffer, a, f + 1, b, g + 1, 1 if residual < 0 else 0)
     s = 1
     while s < width:
@@ -150,7 +150,7 @@ def _code_residual(
         chunk = min(bits, 24)
         bits -= chunk
         value = (value << chunk) | code_raw(writing, state, buffer, chunk, magnitude >> bits)
-    return -value if negative == 1 else value, size
+    return int(-value if negative == 1 else value), size
 
 
 @uncounted

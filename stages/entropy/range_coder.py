@@ -78,7 +78,7 @@ def encode_interval(
 @njit(cache=True, _nrt=False)
 def _weight(model: NDArray[np.uint16], context: int) -> int:
     """Sum of the two estimates of a context."""
-    return np.int64(model[context, 0]) + np.int64(model[context, 1])
+    return int(np.int64(model[context, 0]) + np.int64(model[context, 1]))
 
 
 @njit(cache=True, _nrt=False)
@@ -170,7 +170,7 @@ def _renormalise_decoder(code: int, width: int, state: NDArray[np.int64], data: 
         elif position >= len(data) + _SLACK:
             state[3] = 1
         state[2] = position + 1
-        code = ((code << 8) | byte) & _MASK
+        code = int(((code << 8) | byte) & _MASK)
     state[0] = code
     state[1] = width
 
@@ -204,7 +204,7 @@ def decode_bit(
     one = -bit
     _adapt(model, context, 65535 & ~one)
     _renormalise_decoder(code - (bound & one), bound + ((width - bound - bound) & one), state, data)
-    return bit
+    return int(bit)
 
 
 @njit(cache=True, _nrt=False)
@@ -227,4 +227,4 @@ def decode_mixed_bit(
     _adapt(first, i, goal)
     _adapt(second, j, goal)
     _renormalise_decoder(code - (bound & one), bound + ((width - bound - bound) & one), state, data)
-    return bit
+    return int(bit)

@@ -60,7 +60,7 @@ def push(x: int, position: int, words: Words, start: int, width: int, bits: int,
         x >>= 32
     x = x << bits | raw
     whole = np.int64(np.uint64(x) // np.uint64(width))
-    return (whole << BITS) + (x - whole * width) + start, position
+    return int((whole << BITS) + (x - whole * width) + start), position
 
 
 @njit(cache=True, inline="always")
@@ -71,7 +71,7 @@ def find(x: int, context: int, start: NDArray[np.uint16], guide: NDArray[np.uint
     symbol = np.uint64(guide[row, slot >> np.uint64(_GUIDE)])
     while np.uint64(start[row, symbol + np.uint64(1)]) <= slot:
         symbol += np.uint64(1)
-    return np.int64(symbol)
+    return int(np.int64(symbol))
 
 
 @njit(cache=True, inline="always")
@@ -85,7 +85,7 @@ def refill(x: int, position: int, words: Words) -> tuple[int, int]:
     """Return state and position after the word that the state needs, if it does. Without branches, which nobody foresees."""
     short = np.int64(x < LOWEST)
     word = np.int64(words[np.uint64(min(position, len(words) - 1))])
-    return x << (short << 5) | (word & -short), position + short
+    return int(x << (short << 5) | (word & -short)), int(position + short)
 
 
 @njit(cache=True, inline="always")
@@ -94,7 +94,7 @@ def begin(words: Words) -> tuple[int, int]:
     if len(words) < 2:
         return 0, 0
     x = np.int64(words[0]) << 32 | np.int64(words[1])
-    return (x if x >= LOWEST else 0), 2
+    return int(x if x >= LOWEST else 0), 2
 
 
 @njit(cache=True, inline="always")

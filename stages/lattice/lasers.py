@@ -43,7 +43,7 @@ def _nearest_laser(
                 best = off
                 nearest[i] = k
         if nearest[i] >= 0:
-            guess = np.int64(nearest[i])
+            guess = int(np.int64(nearest[i]))
     return nearest
 
 
@@ -68,7 +68,7 @@ def _vote(label: NDArray[np.int16], lasers: int) -> tuple[int, int, int]:
     for i in range(len(label)):
         if label[i] >= 0:
             counts[label[i]] += 1
-    return counts.argmax(), counts.max(), counts.sum()
+    return int(counts.argmax()), int(counts.max()), int(counts.sum())
 
 
 def _runs(label: NDArray[np.int16], first: int) -> list[tuple[int, int]]:

@@ -80,7 +80,7 @@ def _render(points: NDArray[np.float32], shift: F64) -> NDArray[np.uint16]:
                     value = np.int64(nearest[r, c % COLUMNS])
                     if value > 0:
                         seen += 1
-                        least = min(least, value)
+                        least = min(least, int(value))
                 whole += seen == 3
                 broken += 0 < seen < 3
             if whole and not broken:

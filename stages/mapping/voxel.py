@@ -148,13 +148,13 @@ def _fold(
     out_count = np.zeros(groups, np.uint32)
     out_scans = np.zeros(groups, np.uint16)
     g = -1
-    lead = 0  # Boyer and Moore's vote for the commonest class
+    lead = np.int64(0)  # Boyer and Moore's vote for the commonest class
     bright = 0.0
     for i in range(len(order)):
         j = order[i]
         if new[i]:
             g += 1
-            lead = 0
+            lead = np.int64(0)
             bright = 0.0
         n = np.int64(count[j])
         for axis in range(3):

@@ -26,10 +26,10 @@ def bucket_of(value: float, unit: float) -> int:
 def whole_of(value: float, form: int, per: float) -> int:
     """Coordinate as a whole number: of units, or the ordered bits of its float32 or float16."""
     if form == GRID:
-        return np.int64(np.rint(min(max(value, -FAR), FAR) * per))
+        return int(np.rint(min(max(value, -FAR), FAR) * per))
     bits = np.int64(np.float32(value).view(np.int32))
     whole = bits ^ 0x7FFFFFFF if bits < 0 else bits
-    return (whole + (1 << (_HALF_BITS - 1))) >> _HALF_BITS if form == HALVES else whole
+    return int((whole + (1 << (_HALF_BITS - 1))) >> _HALF_BITS if form == HALVES else whole)
 
 
 @njit(cache=True, error_model="numpy")
@@ -38,7 +38,7 @@ def coordinate_of(whole: int, form: int, per: float) -> np.float32:
     if form == GRID:
         return np.float32(whole / per)
     if form == HALVES:
-        whole = (whole << _HALF_BITS) - np.int64(whole < 0)
+        whole = (whole << _HALF_BITS) - int(whole < 0)
     bits = min(max(whole, -(1 << 31)), (1 << 31) - 1)
     return np.int32(bits ^ 0x7FFFFFFF if bits < 0 else bits).view(np.float32)
 

@@ -187,7 +187,7 @@ def walk_levels(  # type: ignore[no-untyped-def]
             )
             fine = np.float64(min(max(expected * per_step, 0.125), 255.0)).view(np.int64) >> 50
             # A sensor with odd numbers may make NaN of it, which must not lead out of the tables.
-            c = min(max(fine - _FINEST, 0), CONTEXTS // _SIDES - 1) * _SIDES + side
+            c = min(max(int(fine) - _FINEST, 0), CONTEXTS // _SIDES - 1) * _SIDES + side
             predicted = np.int64(min(max((r - base) * per_step + 0.5, 0.0), MAX_LEVEL + 0.0))
             at = first + i
             if decoding:

@@ -40,7 +40,7 @@ def split(residual: int, shift: int) -> tuple[int, int, int]:
     size = (np.float64(z).view(np.int64) >> 52) - 1023
     token = _PLAIN + (size - _PLAIN_SIZE) * 4 + (z >> (size - 1) & 1) * 2 + (z & 1)
     between = z >> 1 & ((1 << (size - 2)) - 1)
-    return token, size - 2 + shift, between << shift | low
+    return int(token), int(size - 2 + shift), int(between << shift | low)
 
 
 @njit(cache=True, inline="always")

@@ -179,7 +179,7 @@ def code_levels(
                 else:
                     outer = beyond
             if not writing:
-                value = centre + low if side == 1 else centre + 1 - low
+                value = np.int64(centre + low if side == 1 else centre + 1 - low)
                 if value < 1 or value >= 1 << 24:
                     return False
                 level[row, column] = value

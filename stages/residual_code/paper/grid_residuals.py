@@ -20,19 +20,19 @@ _START = 10000  # a level where nothing at all is known
 @njit(cache=True, error_model="numpy")
 def _from_neighbours(level: NDArray[np.int32], row: int, column: int, last: int) -> int:
     """Median of left, above and left + above - above left; ``last`` is the filled column before, -1: none."""
-    up = 0
+    up = np.int64(0)
     if row > 0:
         for near in (column, column - 1, (column + 1) % COLUMNS):
             if near >= 0 and level[row - 1, near] > 0:
                 up = np.int64(level[row - 1, near])
                 break
     if last < 0:
-        return up if up > 0 else _START
+        return int(up) if up > 0 else _START
     left = np.int64(level[row, last])
-    corner = np.int64(level[row - 1, last]) if row > 0 else 0
+    corner = np.int64(level[row - 1, last]) if row > 0 else np.int64(0)
     if up == 0 or corner == 0:
-        return left
-    return min(max(min(left, up), left + up - corner), max(left, up))
+        return int(left)
+    return int(min(max(min(left, up), left + up - corner), max(left, up)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -49,7 +49,9 @@ def _walk(
     place = 0
     for row in range(ROWS):
         last = -1
-        off = 0  # of the plane at the last ground cell: what a plane misses, it misses next door as well
+        off = np.int64(
+            0
+        )  # of the plane at the last ground cell: what a plane misses, it misses next door as well
         for column in range(COLUMNS):
             if not filled[row, column]:
                 continue

@@ -43,7 +43,7 @@ def _context(
     r = float(level[i])
     total = 0.0
     mean = 0.0
-    left = 0
+    left = np.int64(0)
     if i > begin:
         left = np.int64(value[i - 1])
         weight = 1.5 * _nearness(r, level[i - 1])
@@ -71,8 +71,8 @@ def _context(
     while spread < _SPREADS - 1 and apart > limit:
         limit *= 2.0
         spread += 1
-    fine = min(np.int64(mean * 0.25 + 0.5), _MEANS - 1) * _SPREADS + spread
-    return fine, min(np.int64(mean * 0.15), _LASER_MEANS - 1)
+    fine = min(int(mean * 0.25 + 0.5), _MEANS - 1) * _SPREADS + spread
+    return fine, min(int(mean * 0.15), _LASER_MEANS - 1)
 
 
 @uncounted

@@ -135,7 +135,7 @@ def _take(
         return -1
     value = 0
     for k in range(n):
-        value |= np.int64(data[places[stream] + k]) << (8 * k)
+        value |= int(np.int64(data[places[stream] + k]) << (8 * k))
     places[stream] += n
     return value
 
@@ -196,7 +196,7 @@ def _decode_block(
 def _three(data: NDArray[np.uint8], at: int) -> int:
     if at + 3 > len(data):
         return len(data)  # more than there can be
-    return np.int64(data[at]) | np.int64(data[at + 1]) << 8 | np.int64(data[at + 2]) << 16
+    return int(np.int64(data[at]) | np.int64(data[at + 1]) << 8 | np.int64(data[at + 2]) << 16)
 
 
 @njit(cache=True)

@@ -106,7 +106,7 @@ def _length(data: NDArray[np.uint8], at: int, field: int, most: int) -> tuple[in
     while at < len(data):
         byte = np.int64(data[at])
         at += 1
-        field += byte
+        field += int(byte)
         if byte < 255:
             return field, at
     return 0, -1
@@ -132,9 +132,9 @@ def _decode(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
             size = 1 if token >= 128 else (2 if wide else 3)
             if at + size > len(data):
                 return -1
-            last = (token >> 5 & 3) << 8 if token >= 128 else 0
+            last = int((token >> 5 & 3) << 8) if token >= 128 else 0
             for k in range(size):
-                last |= np.int64(data[at + k]) << (8 * k)
+                last |= int(np.int64(data[at + k]) << (8 * k))
             at += size
         n, at = _length(data, at, token & 7, 7)
         n += _MINIMUM

@@ -25,7 +25,7 @@ def _hash(src: NDArray[np.uint8], at: int) -> int:
         | np.int64(src[at + 2]) << 16
         | np.int64(src[at + 3]) << 24
     )
-    return ((word * 2654435761) & 0xFFFFFFFF) >> (32 - _BITS)
+    return int(((word * 2654435761) & 0xFFFFFFFF) >> (32 - _BITS))
 
 
 @njit(cache=True)
