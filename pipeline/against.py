@@ -22,7 +22,7 @@ from salpcc.stages.ingest.sources.label_files import labels_that_fit
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
-class Source:
+class Originals:
     """The scans that an archive was made from."""
 
     def __init__(self, reader: ArchiveReader, root: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salpcc.pipeline.against import Source, bounds, places_in_source
+from salpcc.pipeline.against import Originals, bounds, places_in_source
 from salpcc.pipeline.decode import decode_groups
 from salpcc.pipeline.edit.redact import check_redacted
 from salpcc.pipeline.plan.logs import compare_log
@@ -72,7 +72,7 @@ def verify(
     verdict.side_files = len(reader.side)
     if redacted_from is not None:
         verdict.problems += check_redacted(reader, redacted_from)
-    source = Source(reader, against) if against is not None else None
+    source = Originals(reader, against) if against is not None else None
     verdict.against = str(against) if against is not None else None
     try:
         reader.check()
@@ -103,7 +103,7 @@ def verify(
     return verdict
 
 
-def _side_problems(reader: ArchiveReader, source: Source | None) -> list[str]:
+def _side_problems(reader: ArchiveReader, source: Originals | None) -> list[str]:
     """What is wrong with the side files: all are read, and compared with those of the data root where one is given."""
     if source is not None:
         folder = SOURCES[reader.facts.source].folder(source.root, reader.facts.sequence)
@@ -117,7 +117,7 @@ def _side_problems(reader: ArchiveReader, source: Source | None) -> list[str]:
     return problems
 
 
-def _compare(scan: Scan, source: Source, config: dict[str, Any], verdict: Verdict, dropped: bool) -> None:
+def _compare(scan: Scan, source: Originals, config: dict[str, Any], verdict: Verdict, dropped: bool) -> None:
     try:
         recorded, path = source.of(scan)
     except SourceError as error:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.against import Source
+from salpcc.pipeline.against import Originals
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.decode import Layers
 from salpcc.pipeline.export.tell import Tell, in_silence
@@ -206,7 +206,7 @@ def view(
     reader = ArchiveReader(path) if is_archive(path) else None
     if reader is None and against is not None and path.exists():
         raise UsageError(f"{path}: only an archive has a source to be compared with")
-    source = Source(reader, against) if reader is not None and against is not None else None
+    source = Originals(reader, against) if reader is not None and against is not None else None
     scans = ((scan, source.errors(scan) if source else None) for scan in scans_of(path, layers, frames))
     palette = Palette()
     first = next(scans)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from salpcc.pipeline.against import Source
+from salpcc.pipeline.against import Originals
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.run import RunResult
 from salpcc.pipeline.view import view
@@ -28,7 +28,7 @@ def rough(toy_root: Path, tmp_path_factory: pytest.TempPathFactory, run: Callabl
 
 
 def test_errors_are_those_of_each_point(rough: Path, toy_root: Path) -> None:
-    source = Source(ArchiveReader(rough), toy_root)
+    source = Originals(ArchiveReader(rough), toy_root)
     files = SOURCES["semantickitti"]
     with Archive.open(rough) as both, Archive.open(rough, layers="static") as static:
         for ref, scan, part in zip(files.scans(toy_root, "01"), both, static, strict=True):
@@ -42,8 +42,8 @@ def test_errors_are_those_of_each_point(rough: Path, toy_root: Path) -> None:
 def test_what_is_not_of_the_source_is_told(rough: Path, toy_root: Path, tmp_path: Path) -> None:
     reader = ArchiveReader(rough)
     with pytest.raises(UsageError, match="nowhere not found"):
-        Source(reader, tmp_path / "nowhere")
-    source = Source(reader, toy_root)
+        Originals(reader, tmp_path / "nowhere")
+    source = Originals(reader, toy_root)
     with Archive.open(rough) as archive:
         scan = archive[0]
     with pytest.raises(SourceError, match=f"scan 000005: not in {toy_root}"):
