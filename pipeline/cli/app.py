@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from salpcc.pipeline.cli import archives as cli_archive
 from salpcc.pipeline.cli import data as cli_data
@@ -35,8 +36,18 @@ _WRONG_PLACE = (
 )
 _ON_THIS_MACHINE = ("calibrate", "localise", "map", "simulate", "train")  # others take URLs
 
+
+class _MainFirst(TyperGroup):
+    """Lists ``run`` before what is done with its archives."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands in the order of the help."""
+        return sorted(super().list_commands(ctx), key=lambda name: name != "run")
+
+
 app = typer.Typer(
     name="salpcc-pipeline",
+    cls=_MainFirst,
     help="Recorded LiDAR scans in, compact bit-exact archives and a report out; and back again.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

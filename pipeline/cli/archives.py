@@ -148,10 +148,14 @@ def verify(
     else:
         for problem in verdict.problems:
             typer.echo(f"PROBLEM {problem}")
+        held = "; every checksum holds" if verdict.good else ""
+        hint = " (--against compares with the source)" if verdict.good and not against else ""
         typer.echo(
-            f"{'ok' if verdict.good else 'DAMAGED'}: {archive}: {verdict.scans} scans, {verdict.points} points"
-            + _compared(verdict.as_dict())
+            f"{'ok' if verdict.good else 'DAMAGED'}: {archive}: {verdict.scans:,} scans, "
+            f"{verdict.points:,} points{held}{hint}"
         )
+        if against is not None:
+            typer.echo(_compared(verdict.as_dict()))
         if redacted_from is not None and verdict.good:
             typer.echo(f"its chunks are byte for byte those that {redacted_from} tells of")
         if verdict.labelled_scans or verdict.side_files:
@@ -162,13 +166,12 @@ def verify(
 
 
 def _compared(verdict: dict[str, Any]) -> str:
-    if verdict["against"] is None:
-        return "; checksums only"
     error, passed = verdict["max_error_m"], verdict["passed_messages"]
     return (
-        f"; against {verdict['against']}: {verdict['bit_exact_scans']} scans bit-exact, "
-        f"{verdict['points_dropped']} points dropped, largest error {'-' if error is None else f'{error:g} m'}"
-        + (f", {passed} messages of other topics unchanged" if passed is not None else "")
+        f"against {verdict['against']}: {verdict['bit_exact_scans']:,} scans bit-exact, "
+        f"{verdict['points_dropped']:,} points dropped"
+        + (f", largest error {1e3 * error:.2f} mm" if error else "")
+        + (f", {passed:,} messages of other topics unchanged" if passed is not None else "")
     )
 
 

@@ -205,7 +205,7 @@ def view(
         Path | None, typer.Option(metavar="FILE.rrd", help="Write it to a file that Rerun opens.")
     ] = None,
 ) -> None:
-    """Look at scans in 3-D along a time line, coloured by height, intensity, class and layer, with the path driven."""
+    """Look at scans in 3-D along a time line, coloured by height, intensity, class, layer and error, with the path driven."""
     if web and save:
         raise UsageError("--web and --save: choose one")
     require("view", "view")

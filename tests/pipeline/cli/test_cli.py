@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from salpcc.pipeline.cli.archives import _compared
 from salpcc.pipeline.export import EXPORTS
 
 COMMAND = [sys.executable, "-m", "salpcc.pipeline.cli"]
@@ -293,3 +294,21 @@ def test_report_is_rebuilt(done: Path, tmp_path: Path) -> None:
     assert cli("report", out).returncode == 0
     rebuilt = json.loads((out / "report" / "report.json").read_text())
     assert rebuilt["sequences"] == json.loads((done / "report" / "report.json").read_text())["sequences"]
+
+
+def test_verify_says_what_it_compared() -> None:
+    result = cli("verify", Path(__file__).parents[2] / "golden" / "fast_exact.mcap")
+    assert result.returncode == 0
+    assert "; every checksum holds (--against compares with the source)" in result.stdout
+    told = {"against": "ROOT", "bit_exact_scans": 1200, "points_dropped": 34_567}
+    assert _compared(told | {"max_error_m": 0.0197, "passed_messages": 1234}) == (
+        "against ROOT: 1,200 scans bit-exact, 34,567 points dropped, largest error 19.70 mm, "
+        "1,234 messages of other topics unchanged"
+    )
+    exact = _compared(told | {"max_error_m": 0.0, "passed_messages": None})
+    assert exact.endswith("points dropped")
+
+
+def test_help_begins_with_the_main_job() -> None:
+    names = re.findall(r"^│ (\w+) ", cli("--help").stdout.partition("Commands")[2], re.MULTILINE)
+    assert names[0] == "run" and len(names) > 15
