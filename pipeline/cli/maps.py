@@ -289,7 +289,10 @@ def localise(
     if json_:
         typer.echo(json.dumps(rows, indent=1))
         return
-    typer.echo("seq cloud       error   bpp movables ICP             pairs  rotation, deg    translation, m")
+    wide = max([8, *(len(row["cloud"]) for row in rows)])
+    typer.echo(
+        f"seq {'cloud':{wide + 3}} error   bpp movables ICP             pairs  rotation, deg    translation, m"
+    )
     for row in rows:
         error = "-" if row["max_error"] is None else f"{1e3 * row['max_error']:.1f} mm"
         bits = "-" if row["bpp"] is None else f"{row['bpp']:.2f}"
@@ -297,7 +300,7 @@ def localise(
             f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_std']:.4f}" for k in ("rotation_deg", "translation_m")
         ]
         typer.echo(
-            f"{row['sequence']:3} {row['cloud']:8} {error:>8} {bits:>5} {'with' if row['movable'] else 'without':8} "
+            f"{row['sequence']:3} {row['cloud']:{wide}} {error:>8} {bits:>5} {'with' if row['movable'] else 'without':8} "
             f"{row['method']:15} {row['pairs']:5}  {'  '.join(figures)}"
         )
     typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
