@@ -31,7 +31,9 @@ def row_size(starts: NDArray[np.int64]) -> int:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def place_rings(starts, tick, level, step, constants):  # type: ignore[no-untyped-def]
+def place_rings(
+    starts: NDArray[np.int64], tick: I32, level: I32, step: int, constants: F32
+) -> tuple[F32, F32]:
     """Azimuths and inverse ranges of all rings, each at ``[PAD, PAD + n)`` of its row, margins cyclic."""
     n_rings = len(starts) - 1
     size = row_size(starts)

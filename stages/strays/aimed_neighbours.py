@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 _STEPS = 64  # that a cursor goes at a time; hostile azimuths must not send it round and round
 _NEAR = 0.02  # turns; points farther apart in azimuth are not interpolated between
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
-def link(i, k, links, ends):  # type: ignore[no-untyped-def]
+def link(i: int, k: int, links: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
     """Append point i to those of laser k, a ring that closes on itself."""
     if ends[k, 1] < 0:
         ends[k, 0] = i
@@ -22,7 +24,7 @@ def link(i, k, links, ends):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def _apart(a, b, ticks):  # type: ignore[no-untyped-def]
+def _apart(a: float, b: float, ticks: int) -> float:
     """Azimuth from b to a in ticks, the short way round."""
     off = a - b
     half = 0.5 * ticks

@@ -35,7 +35,16 @@ def new_models() -> Models:
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
-def code_kind(writing, state, data, bits, kinds, i, left, up):  # type: ignore[no-untyped-def]
+def code_kind(
+    writing: bool,
+    state: NDArray[np.int64],
+    data: NDArray[np.uint8],
+    bits: Bits,
+    kinds: NDArray[np.uint8],
+    i: int,
+    left: int,
+    up: int,
+) -> int:
     """Write the kind of point i, or read and return it, told from the points before it and at its place of earlier firings."""
     k1 = np.int64(kinds[i - 1]) if i >= 1 else 0
     k2 = np.int64(kinds[i - left]) if left > 0 and i >= left else 0
@@ -48,7 +57,15 @@ def code_kind(writing, state, data, bits, kinds, i, left, up):  # type: ignore[n
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
-def code_laser(writing, state, data, bits, known, before, laser):  # type: ignore[no-untyped-def]
+def code_laser(
+    writing: bool,
+    state: NDArray[np.int64],
+    data: NDArray[np.uint8],
+    bits: Bits,
+    known: bool,
+    before: int,
+    laser: int,
+) -> int:
     """Where ``known``, the laser is most often the one before at this place; else it depends on the point before."""
     if known:
         if code_mixed_bit(writing, state, data, bits, 0, bits, 0, np.int64(laser != before)) == 0:

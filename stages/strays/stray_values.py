@@ -24,7 +24,16 @@ _HIGH, _LOW = 256 * 256, 128 * 8 * 256
 
 
 @njit(cache=True)
-def _code_byte(writing, state, data, first, i, second, j, value):  # type: ignore[no-untyped-def]
+def _code_byte(
+    writing: bool,
+    state: NDArray[np.int64],
+    data: NDArray[np.uint8],
+    first: NDArray[np.uint16],
+    i: int,
+    second: NDArray[np.uint16],
+    j: int,
+    value: int,
+) -> int:
     node = 1
     for b in range(7, -1, -1):
         bit = code_mixed_bit(
@@ -35,7 +44,15 @@ def _code_byte(writing, state, data, first, i, second, j, value):  # type: ignor
 
 
 @njit(cache=True)
-def code_values(writing, values, left, up, models, state, data):  # type: ignore[no-untyped-def]
+def code_values(
+    writing: bool,
+    values: NDArray[np.int64],
+    left: int,
+    up: int,
+    models: tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16]],
+    state: NDArray[np.int64],
+    data: NDArray[np.uint8],
+) -> None:
     """Write or read whole numbers ``(n,)`` int64 of 0..65535."""
     for i in range(len(values)):
         a = values[i - left] if i >= left else 0
@@ -54,7 +71,7 @@ def code_values(writing, values, left, up, models, state, data):  # type: ignore
         values[i] = high << 8 | low
 
 
-def _models():  # type: ignore[no-untyped-def]
+def _models() -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16]]:
     return new_bits(_HIGH), new_bits(_HIGH), new_bits(_LOW), new_bits(_HIGH)
 
 

@@ -48,7 +48,7 @@ class Timeline:
 
 
 @njit(cache=True)
-def _next(due, asked, floor):  # type: ignore[no-untyped-def]
+def _next(due: NDArray[np.int64], asked: NDArray[np.int64], floor: int) -> int:
     """The laser that is due first of those that were not asked; the lower number first."""
     best = -1
     for k in range(len(due)):
@@ -58,7 +58,7 @@ def _next(due, asked, floor):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _skips(due, laser):  # type: ignore[no-untyped-def]
+def _skips(due: NDArray[np.int64], laser: int) -> int:
     """Lasers that are due before a laser."""
     skips = 0
     for k in range(len(due)):

@@ -49,7 +49,9 @@ def _cumulative(frequencies: NDArray[np.uint16]) -> NDArray[np.uint64]:
 
 
 @njit(cache=True)
-def _encode(symbols, cumulative, out):  # type: ignore[no-untyped-def]
+def _encode(
+    symbols: NDArray[np.uint8], cumulative: NDArray[np.uint64], out: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
     low, span, size = np.uint64(0), _MASK, 0
     for symbol in symbols:
         start = cumulative[symbol]
@@ -73,7 +75,7 @@ def _encode(symbols, cumulative, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _decode(stream, cumulative, count):  # type: ignore[no-untyped-def]
+def _decode(stream: NDArray[np.uint8], cumulative: NDArray[np.uint64], count: int) -> NDArray[np.uint8]:
     symbols = np.empty(count, np.uint8)
     slot = np.empty(_TOTAL, np.uint8)
     for symbol in range(256):

@@ -115,7 +115,7 @@ def _of_cells(blocks: Mask) -> Mask:
 
 
 @njit(cache=True)
-def _predicted(levels, left, upper, guess, inter, i, j):  # type: ignore[no-untyped-def]
+def _predicted(levels: Levels, left: Mask, upper: Mask, guess: Levels, inter: Mask, i: int, j: int) -> int:
     """The registered scan before, or the mean of the decoded neighbours in the cluster; 0 where it starts."""
     if inter[i, j]:
         return guess[i, j]
@@ -127,7 +127,7 @@ def _predicted(levels, left, upper, guess, inter, i, j):  # type: ignore[no-unty
 
 
 @njit(cache=True)
-def _residuals(levels, left, upper, guess, inter):  # type: ignore[no-untyped-def]
+def _residuals(levels: Levels, left: Mask, upper: Mask, guess: Levels, inter: Mask) -> Levels:
     residual = np.empty_like(levels)
     for i in range(levels.shape[0]):
         for j in range(levels.shape[1]):
@@ -136,7 +136,7 @@ def _residuals(levels, left, upper, guess, inter):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True)
-def _levels(residual, filled, left, upper, guess, inter):  # type: ignore[no-untyped-def]
+def _levels(residual: Levels, filled: Mask, left: Mask, upper: Mask, guess: Levels, inter: Mask) -> Levels:
     """Inverse of :func:`_residuals`; empty cells are 0."""
     levels = np.zeros_like(residual)
     for i in range(levels.shape[0]):

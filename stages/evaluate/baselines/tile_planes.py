@@ -16,7 +16,9 @@ _LONGEST = 255
 
 
 @njit(cache=True)
-def fit(ranges, rays, bound):  # type: ignore[no-untyped-def]
+def fit(
+    ranges: NDArray[np.float64], rays: NDArray[np.float64], bound: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
     """Cover each row of tiles with runs: a length of 0 is one unfit tile, else that many tiles on a plane.
 
     Returns run lengths (K,) uint8, planes (P, 3) float32 in the order of their runs, and the mask of cells
@@ -59,7 +61,15 @@ def fit(ranges, rays, bound):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _within(ranges, rays, plane, row, start, end, bound):  # type: ignore[no-untyped-def]
+def _within(
+    ranges: NDArray[np.float64],
+    rays: NDArray[np.float64],
+    plane: NDArray[np.float32],
+    row: int,
+    start: int,
+    end: int,
+    bound: float,
+) -> bool:
     """Tell whether a plane gives every filled cell of columns start:end back within the bound."""
     for i in range(row, row + TILE):
         for j in range(start, end):
@@ -71,7 +81,9 @@ def _within(ranges, rays, plane, row, start, end, bound):  # type: ignore[no-unt
 
 
 @njit(cache=True)
-def draw(filled, runs, planes, rays):  # type: ignore[no-untyped-def]
+def draw(
+    filled: NDArray[np.bool_], runs: NDArray[np.uint8], planes: NDArray[np.float32], rays: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Draw the planes; inverse of :func:`fit`. Returns ranges and the mask of cells that have a plane."""
     ranges, fitted = np.zeros(filled.shape), np.zeros(filled.shape, np.bool_)
     tiles = filled.shape[1] // TILE
@@ -93,11 +105,17 @@ def draw(filled, runs, planes, rays):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def inherit(ranges, rays, planes, of_tile, bound):  # type: ignore[no-untyped-def]
+def inherit(
+    ranges: NDArray[np.float64],
+    rays: NDArray[np.float64],
+    planes: NDArray[np.float32],
+    of_tile: NDArray[np.int64],
+    bound: float,
+) -> NDArray[np.bool_]:
     """Mark the tiles whose cells another image's plane of the same tile gives back; empty tiles are not marked."""
     taken = np.zeros(of_tile.shape, np.bool_)
-    for row in range(taken.shape[0]):
-        for tile in range(taken.shape[1]):
+    for row in range(of_tile.shape[0]):
+        for tile in range(of_tile.shape[1]):
             if of_tile[row, tile] < 0:
                 continue
             i, j = row * TILE, tile * TILE
@@ -108,7 +126,7 @@ def inherit(ranges, rays, planes, of_tile, bound):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True)
-def planes_of_tiles(runs, rows, tiles):  # type: ignore[no-untyped-def]
+def planes_of_tiles(runs: NDArray[np.uint8], rows: int, tiles: int) -> NDArray[np.int64]:
     """Which plane ``(rows, tiles)`` each tile has, -1 for none, from the run lengths."""
     of_tile = np.full((rows, tiles), -1, np.int64)
     row, tile, plane = 0, 0, 0

@@ -42,7 +42,7 @@ def cosine32(kind: int, angle: np.float32) -> np.float32:
 
 
 @njit(cache=True, error_model="numpy")
-def _reduced(angle):  # type: ignore[no-untyped-def]
+def _reduced(angle: float) -> tuple[np.float64, np.int64 | int]:
     """The angle less so many quarter turns, and their number modulo 4."""
     x = np.float64(angle)
     if abs(x) < _QUARTER:

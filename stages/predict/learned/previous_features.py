@@ -19,6 +19,7 @@ from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.learned.range_features import NO_ERROR, rounded, squash
 from salpcc.stages.predict.learned.range_features import PREDICTORS as OF_SWEEP
 from salpcc.stages.predict.learned.vectors import (
+    Lanes,
     choose,
     inline,
     join,
@@ -111,7 +112,7 @@ def slots_there(k: int, number: NDArray[np.int64], there: F32) -> None:
 
 
 @inline
-def _slots(i, k, rows, indices):  # type: ignore[no-untyped-def]
+def _slots(i: int, k: int, rows: F32, indices: I32) -> Lanes:
     """Lanes of the points around return i: four of row k - 1, six of row k, four of row k + 1."""
     last = rows.shape[0] - 1
     width = rows.shape[1]

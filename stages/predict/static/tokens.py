@@ -44,7 +44,9 @@ def split(residual: int, shift: int) -> tuple[int, int, int]:
 
 
 @njit(cache=True, inline="always")
-def put(x, position, words, context, residual, start):  # type: ignore[no-untyped-def]
+def put(
+    x: int, position: int, words: NDArray[np.uint32], context: int, residual: int, start: NDArray[np.uint16]
+) -> tuple[int, int]:
     """Encode a residual of magnitude below 2 ** 20; returns state and position."""
     row = np.uint64(context)
     token, bits, even = split(residual, shift_of(context))
@@ -60,7 +62,14 @@ def put(x, position, words, context, residual, start):  # type: ignore[no-untype
 
 
 @njit(cache=True, inline="always")
-def get(x, position, words, context, start, guide):  # type: ignore[no-untyped-def]
+def get(
+    x: int,
+    position: int,
+    words: NDArray[np.uint32],
+    context: int,
+    start: NDArray[np.uint16],
+    guide: NDArray[np.uint8],
+) -> tuple[int, int, int]:
     """Decode a residual; returns it, state and position. Inverse of :func:`put`."""
     row = np.uint64(context)
     token = find(x, context, start, guide)

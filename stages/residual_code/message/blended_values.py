@@ -31,7 +31,7 @@ Flags = NDArray[np.bool_]
 
 
 @njit(cache=True)
-def _bucket(value):  # type: ignore[no-untyped-def]
+def _bucket(value: float) -> int:
     """Half octaves of a spread, from 1/4 up."""
     bucket, limit = 0, 0.25
     while bucket < _BUCKETS - 1 and value > limit:

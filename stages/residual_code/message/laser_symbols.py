@@ -13,7 +13,15 @@ I64 = NDArray[np.int64]
 
 
 @njit(cache=True)
-def _code(writing, state, data, values, laser, lasers, bits):  # type: ignore[no-untyped-def]
+def _code(
+    writing: bool,
+    state: NDArray[np.int64],
+    data: NDArray[np.uint8],
+    values: NDArray[np.int64],
+    laser: NDArray[np.uint8],
+    lasers: int,
+    bits: NDArray[np.uint16],
+) -> None:
     """Write or read values ``(N,)`` of 0 to 255; lasers from 0 to ``lasers``."""
     last = np.full(lasers + 1, -1)
     before, misses = np.int64(0), np.int64(0)
