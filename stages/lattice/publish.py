@@ -70,32 +70,20 @@ def published_points(compensated: NDArray[np.float64], ulp: NDArray[np.uint8]) -
     return points
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def millimetre_boundary(model: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-    """Distance ``(M, 3)`` in mm to the nearest rounding boundary, and the step across it, +1 or -1."""
-    distance = np.empty(model.shape)
-    step = np.empty(model.shape, np.int8)
-    values, distances, steps = model.ravel(), distance.ravel(), step.ravel()
-    for i in range(len(values)):
-        v = values[i] * 1000.0
-        off = v - np.rint(v)
-        distances[i] = 0.5 - abs(off)
-        steps[i] = np.int8(1) if off > 0.0 else np.int8(-1)
-    return distance, step
+@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+def millimetre_boundary(value: np.float64) -> tuple[np.float64, np.int8]:
+    """Distance in mm of a coordinate in metres to the nearest rounding boundary, and the step across it, +1 or -1."""
+    v = value * 1000.0
+    off = v - np.rint(v)
+    return 0.5 - abs(off), np.int8(1) if off > 0.0 else np.int8(-1)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def float32_boundary(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-    """Distance ``(M, 3)`` in nanometres to the nearest float32 rounding boundary, and the step across it."""
-    distance = np.empty(points.shape)
-    step = np.empty(points.shape, np.int8)
-    values, distances, steps = points.ravel(), distance.ravel(), step.ravel()
-    for i in range(len(values)):
-        nearest = np.float32(values[i])
-        size = np.int32(nearest.view(np.int32) & np.int32(0x7FFFFFFF))
-        after = np.int32(size + np.int32(1)).view(np.float32)
-        off = values[i] - np.float64(nearest)
-        half = np.float64(after - size.view(np.float32)) * 0.5
-        distances[i] = (half - abs(off)) * 1e9
-        steps[i] = np.int8(1) if off > 0.0 else np.int8(-1)
-    return distance, step
+@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+def float32_boundary(value: np.float64) -> tuple[np.float64, np.int8]:
+    """Distance in nanometres of a coordinate in metres to the nearest float32 rounding boundary, and the step across it."""
+    nearest = np.float32(value)
+    size = np.int32(nearest.view(np.int32) & np.int32(0x7FFFFFFF))
+    after = np.int32(size + np.int32(1)).view(np.float32)
+    off = value - np.float64(nearest)
+    half = np.float64(after - size.view(np.float32)) * 0.5
+    return (half - abs(off)) * 1e9, np.int8(1) if off > 0.0 else np.int8(-1)

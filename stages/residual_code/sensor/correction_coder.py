@@ -12,7 +12,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.walks import code_bit, finish_coder, start_coder, uncounted
+from salpcc.stages.lattice.publish import float32_boundary, millimetre_boundary
+from salpcc.stages.lattice.untwist import BLOCK
 
+MILLIMETRE, FLOAT32 = 0, 1
 _BUCKETS = 24
 CONTEXTS = _BUCKETS + 1
 _ACROSS = _BUCKETS
@@ -30,17 +33,38 @@ def _bucket(distance: float, reach: float) -> int:
     return bucket
 
 
+@uncounted
+def _boundaries(
+    rounding: int,
+    values: NDArray[np.float64],
+    start: int,
+    distance: NDArray[np.float64],
+    step: NDArray[np.int8],
+) -> None:
+    """Fill distances and steps, ``(N,)`` each, of coordinates from ``values[start]`` on."""
+    if rounding == MILLIMETRE:
+        for j in range(len(distance)):
+            distance[j], step[j] = millimetre_boundary(values[start + j])
+    else:
+        for j in range(len(distance)):
+            distance[j], step[j] = float32_boundary(values[start + j])
+
+
 @njit(cache=True)
-def correction_reach(distance: NDArray[np.float64], codes: NDArray[np.uint8]) -> float:
-    """Return the largest distance at which a coordinate is corrected, -1 if none is."""
+def correction_reach(rounding: int, points: NDArray[np.float64], codes: NDArray[np.uint8]) -> float:
+    """Return the largest distance at which a coordinate of points ``(M, 3)`` is corrected, -1 if none is."""
     reach = -1.0
     for i in range(len(codes)):
         if codes[i] != _NONE:
             code = np.int64(codes[i])
             digits = (code // 9 - 1, code // 3 % 3 - 1, code % 3 - 1)
             for c in range(3):
-                if digits[c] != 0 and distance[i, c] > reach:
-                    reach = distance[i, c]
+                if digits[c] != 0:
+                    if rounding == MILLIMETRE:
+                        distance, _ = millimetre_boundary(points[i, c])
+                    else:
+                        distance, _ = float32_boundary(points[i, c])
+                    reach = max(reach, distance)
     return reach
 
 
@@ -48,35 +72,44 @@ def correction_reach(distance: NDArray[np.float64], codes: NDArray[np.uint8]) ->
 def _walk(
     writing: bool,
     state: NDArray[np.int64],
-    distance: NDArray[np.float64],
-    step: NDArray[np.int8],
+    rounding: int,
+    values: NDArray[np.float64],
     reach: float,
     codes: NDArray[np.uint8],
     model: NDArray[np.uint16],
+    distance: NDArray[np.float64],
+    step: NDArray[np.int8],
     buffer: NDArray[np.uint8],
 ) -> int:
-    for i in range(len(codes)):
-        given = np.int64(codes[i])
-        digits = (given // 9 - 1, given // 3 % 3 - 1, given % 3 - 1)
-        code = np.int64(0)
-        for c in range(3):
-            digit = np.int64(0)
-            if distance[i, c] <= reach:
-                context = _bucket(distance[i, c], reach)
-                if code_bit(writing, state, buffer, model, context, 1 if digits[c] != 0 else 0):
-                    back = code_bit(
-                        writing, state, buffer, model, _ACROSS, 1 if digits[c] != step[i, c] else 0
-                    )
-                    digit = np.int64(-step[i, c] if back else step[i, c])
-            code = code * 3 + digit + 1
-        codes[i] = code
+    """Code corrections ``(M,)`` of coordinates ``(3 M,)``; what no coordinate is near enough for stays as it is: none."""
+    block = len(distance) // 3
+    for start in range(0, len(codes), block):
+        size = min(block, len(codes) - start)
+        _boundaries(rounding, values, 3 * start, distance[: 3 * size], step)
+        for i in range(size):
+            if min(distance[3 * i], distance[3 * i + 1], distance[3 * i + 2]) > reach:
+                continue
+            given = np.int64(codes[start + i])
+            digits = (given // 9 - 1, given // 3 % 3 - 1, given % 3 - 1)
+            code = np.int64(0)
+            for c in range(3):
+                digit, near, across = np.int64(0), distance[3 * i + c], np.int64(step[3 * i + c])
+                if near <= reach:
+                    context = _bucket(near, reach)
+                    if code_bit(writing, state, buffer, model, context, 1 if digits[c] != 0 else 0):
+                        back = code_bit(
+                            writing, state, buffer, model, _ACROSS, 1 if digits[c] != across else 0
+                        )
+                        digit = -across if back else across
+                code = code * 3 + digit + 1
+            codes[start + i] = code
     return finish_coder(writing, state, buffer)
 
 
 @njit(cache=True)
 def encode_corrections(
-    distance: NDArray[np.float64],
-    step: NDArray[np.int8],
+    rounding: int,
+    points: NDArray[np.float64],
     reach: float,
     codes: NDArray[np.uint8],
     model: NDArray[np.uint16],
@@ -85,19 +118,23 @@ def encode_corrections(
     """Encode correction codes 0..26 ``(M,)``; return the bytes written to ``out``, -1 if full.
 
     Args:
-        distance, step: ``(M, 3)``, see :mod:`salpcc.stages.lattice.publish`.
+        rounding: MILLIMETRE or FLOAT32, of points ``(M, 3)``; see :mod:`salpcc.stages.lattice.publish`.
     """
-    return _walk(True, start_coder(True, out), distance, step, reach, codes.copy(), model, out)
+    values, coder = points.ravel(), start_coder(True, out)
+    scratch = np.empty(3 * BLOCK), np.empty(3 * BLOCK, np.int8)
+    return _walk(True, coder, rounding, values, reach, codes.copy(), model, *scratch, out)
 
 
 @njit(cache=True, nogil=True)
 def decode_corrections(
-    distance: NDArray[np.float64],
-    step: NDArray[np.int8],
+    rounding: int,
+    points: NDArray[np.float64],
     reach: float,
     model: NDArray[np.uint16],
     data: NDArray[np.uint8],
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_corrections`; the codes and whether the data sufficed."""
-    codes = np.full(len(distance), _NONE, np.uint8)
-    return codes, _walk(False, start_coder(False, data), distance, step, reach, codes, model, data) == 0
+    codes = np.full(len(points), _NONE, np.uint8)
+    values, coder = points.ravel(), start_coder(False, data)
+    scratch = np.empty(3 * BLOCK), np.empty(3 * BLOCK, np.int8)
+    return codes, _walk(False, coder, rounding, values, reach, codes, model, *scratch, data) == 0

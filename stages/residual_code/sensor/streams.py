@@ -21,7 +21,7 @@ from salpcc.stages.entropy.integers import decode_integers, encode_integers, int
 from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
 from salpcc.stages.lattice.layers import alone, movable_mask
-from salpcc.stages.lattice.publish import compensated_points, float32_boundary, millimetre_boundary
+from salpcc.stages.lattice.publish import compensated_points
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
@@ -30,6 +30,7 @@ from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message import logged_scan
 from salpcc.stages.residual_code.message.field_coder import Points
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
+from salpcc.stages.residual_code.sensor.correction_coder import FLOAT32, MILLIMETRE
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER, Header
 from salpcc.stages.residual_code.sensor.value_models import ValueModels
@@ -212,17 +213,14 @@ def _decode_levels(scan: Decoding, stream: bytes) -> None:
 def _encode_millimetre(scan: Encoding) -> bytes:
     if scan.sweep.max_error > 0:
         return b""
-    return _corrections(
-        scan, 0, millimetre_boundary(scan.model), scan.sweep.millimetre, scan.state.millimetre
-    )
+    return _corrections(scan, MILLIMETRE, scan.model, scan.sweep.millimetre, scan.state.millimetre)
 
 
 def _decode_millimetre(scan: Decoding, stream: bytes) -> None:
     reach, codes = scan.header.millimetre_reach, np.full(scan.header.returns, NO_CORRECTION, np.uint8)
     if scan.header.max_error == 0 and reach >= 0:
-        boundary = millimetre_boundary(scan.model)
         codes, sound = correction_coder.decode_corrections(
-            *boundary, reach, scan.state.millimetre, as_array(stream)
+            MILLIMETRE, scan.model, reach, scan.state.millimetre, as_array(stream)
         )
         require_sound(sound)
     scan.sweep = replace(scan.sweep, millimetre=codes)
@@ -233,31 +231,30 @@ def _encode_ulp(scan: Encoding) -> bytes:
     if sweep.max_error > 0:
         return b""
     points = compensated_points(scan.model, sweep.millimetre, sweep.motion)
-    return _corrections(scan, 1, float32_boundary(points), sweep.ulp, scan.state.ulp)
+    return _corrections(scan, FLOAT32, points, sweep.ulp, scan.state.ulp)
 
 
 def _decode_ulp(scan: Decoding, stream: bytes) -> None:
     reach, codes = scan.header.ulp_reach, np.full(scan.header.returns, NO_CORRECTION, np.uint8)
     if scan.header.max_error == 0 and reach >= 0:
         points = compensated_points(scan.model, scan.sweep.millimetre, scan.sweep.motion)
-        boundary = float32_boundary(points)
-        codes, sound = correction_coder.decode_corrections(*boundary, reach, scan.state.ulp, as_array(stream))
+        codes, sound = correction_coder.decode_corrections(
+            FLOAT32, points, reach, scan.state.ulp, as_array(stream)
+        )
         require_sound(sound)
     scan.sweep = replace(scan.sweep, ulp=codes)
 
 
 def _corrections(
-    scan: Encoding,
-    which: int,
-    boundary: tuple[NDArray[np.float64], NDArray[np.int8]],
-    codes: Data,
-    bits: NDArray[np.uint16],
+    scan: Encoding, rounding: int, points: NDArray[np.float64], codes: Data, bits: NDArray[np.uint16]
 ) -> bytes:
-    scan.reach[which] = reach = correction_coder.correction_reach(boundary[0], codes)
+    scan.reach[rounding] = reach = correction_coder.correction_reach(rounding, points, codes)
     if reach < 0:
         return b""
     return run_encoder(
-        lambda out: correction_coder.encode_corrections(*boundary, reach, codes, bits, out), len(codes), bits
+        lambda out: correction_coder.encode_corrections(rounding, points, reach, codes, bits, out),
+        len(codes),
+        bits,
     )
 
 
