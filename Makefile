@@ -13,7 +13,7 @@ SOURCES := $(shell find schemas stages pipeline src/salpcc/__init__.py -type f -
 OUT ?= out/demo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test bench fuzz soak lock clean
+.PHONY: demo test test-stages test-pipeline test-rest bench fuzz soak lock clean
 
 demo: $(VENV)/.product
 	$(BIN)/salpcc-pipeline run sequences 00,01 --source simulated --frames 0:8 --keep-movable --out $(OUT)
@@ -25,9 +25,15 @@ test: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy -p salpcc
-	$(BIN)/pytest -q tests/test_*.py
+	$(MAKE) -j 2 test-stages test-pipeline test-rest
+
+# Three processes, two at a time: a process that a native library ends is told of, which pytest-xdist waits for for ever.
+test-stages:
 	$(BIN)/pytest -q tests/stages tests/schemas tests/scripts
+test-pipeline:
 	$(BIN)/pytest -q tests/pipeline tests/examples
+test-rest:
+	$(BIN)/pytest -q tests/test_*.py
 
 bench: $(VENV)/.tools
 	$(BIN)/python -m salpcc.stages.evaluate.bench --efforts fast,default,max --threads 2 --profile-stages $(if $(ROOT),--root $(ROOT))
