@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -164,7 +165,8 @@ def test_a_browser_shows_the_scans(archive: Path, tmp_path: Path, browser: Any) 
     pytest.importorskip("rerun")
     command = [sys.executable, "-m", "salpcc.pipeline.cli", "view", str(archive), "--web"]
     opens_none = {**os.environ, "BROWSER": "true"}
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=opens_none) as shown:
+    alone = {"env": opens_none, "start_new_session": True}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **alone) as shown:
         assert shown.stderr is not None
         try:
             said = next(line for line in shown.stderr if "http://" in line)
@@ -183,4 +185,4 @@ def test_a_browser_shows_the_scans(archive: Path, tmp_path: Path, browser: Any) 
                 browser.wait_for_timeout(250)
             assert (most > 200).all()
         finally:
-            shown.terminate()
+            os.killpg(shown.pid, signal.SIGINT)  # as Ctrl-C does: the viewer's server ends, too
