@@ -11,8 +11,9 @@ from salpcc.schemas.work import Movable, ScanRef, digest_of
 Profile = Literal["sensor", "paper"]
 Labels = Literal["network", "given"]
 Effort = Literal["fast", "default", "max"]
+# Payloads hold a coder's number in this list, so new ones come last.
 Coder = Literal[
-    "ppmd", "zstd", "lz4", "bzip2", "brotli", "lzma2", "lizard", "lz5", "deflate64", "context"
+    "context", "ppmd", "zstd", "lz4", "bzip2", "brotli", "lzma2", "deflate64", "lizard", "lz5"
 ]  # fmt: skip
 GRID_ACCURACY = 0.001  # metres, where a run of the paper profile asks for none
 UNBOUNDED = 2**31  # as the end of `frames`

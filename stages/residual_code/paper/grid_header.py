@@ -5,15 +5,16 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.schemas.config import Coder
 from salpcc.schemas.grid import GridSweep
 
 GRID_CODEC = 129  # 128 + version; below 128 are the codec versions of the sensor profile
-# The order is part of the format.
-CODERS = ("context", "ppmd", "zstd", "lz4", "bzip2", "brotli", "lzma2", "deflate64", "lizard", "lz5")
+CODERS: tuple[str, ...] = get_args(Coder)  # payloads hold the number
 MOTION, CLASSES, FLOAT_INTENSITY, ELEVATION = 1, 2, 4, 8
 
 

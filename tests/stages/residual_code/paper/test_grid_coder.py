@@ -2,6 +2,7 @@
 
 import zlib
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,11 +13,13 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.ground_fit.grid_planes import fit_ground
 from salpcc.stages.ingest.paper_grid import row_elevations, scan_to_grid
 from salpcc.stages.predict.paper.frames import predict_gop
+from salpcc.stages.residual_code.paper import grid_payload
 from salpcc.stages.residual_code.paper.grid_coder import decode_grids, encode_grid
 from salpcc.stages.residual_code.paper.grid_header import content_crc
-from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
+from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS, ByteImages
 from salpcc.stages.residual_code.paper.grid_payload import unpack
 from salpcc.stages.residual_code.paper.grid_streams import GridState
+from salpcc.stages.residual_code.paper.lossless import Lossless
 
 CAR, ROAD = 1, 9
 
@@ -52,6 +55,13 @@ def scans(make_scan) -> list[Scan]:
 @pytest.mark.parametrize("coder", IMAGE_CODERS)
 def test_round_trip(scans, coder) -> None:
     check(to_grids(scans[:2], 0.005), coder)
+
+
+def test_a_coder_is_a_row_of_the_table(scans, monkeypatch) -> None:
+    toy = Lossless("Back to front", "", lambda plain: plain[::-1], lambda data, size: data[::-1])
+    monkeypatch.setitem(IMAGE_CODERS, "toy", partial(ByteImages, toy))
+    monkeypatch.setattr(grid_payload, "CODERS", (*grid_payload.CODERS, "toy"))
+    check(to_grids(scans[:2], 0.005), "toy")
 
 
 @pytest.mark.parametrize("accuracy", [0.001, 0.01, 0.05])
