@@ -38,7 +38,7 @@ def diff(
     after: Annotated[
         Path, typer.Argument(metavar="B", help="That of another one, its poses in the same frame.")
     ],
-    out: Annotated[Path, typer.Option(help="diff.json, a picture, and what changed in LAZ go here.")],
+    out: Annotated[Path, typer.Option(help="Here go diff.json, a picture, and what changed, as LAZ.")],
     json_: Json = False,
 ) -> None:
     """Compare two maps of one place: objects that are gone, appeared, or stand elsewhere.

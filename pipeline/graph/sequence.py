@@ -124,7 +124,7 @@ def finish(
 
     def payloads() -> Iterator[list[ScanPayload]]:
         for gop, result in zip(plan.gops, results, strict=True):
-            coded = _payloads(store, result, _dropped_ref(store, gop, record["inputs"]))
+            coded = _payloads(store, result, _aside_ref(store, gop, record["inputs"]))
             bare = {payload.entry.name for payload in coded if not payload.labels}
             unlabelled.extend(ref for ref in gop.scans if ref.labels and ref.name in bare)
             yield coded
@@ -143,19 +143,19 @@ def known_files(plan: SequencePlan, results: list[GopResult]) -> Known:
     return plan.known | {name: known for result in results for name, known in result.learned.items()}
 
 
-def _payloads(store: ShardStore, result: GopResult, dropped: ShardRef) -> list[ScanPayload]:
+def _payloads(store: ShardStore, result: GopResult, put: ShardRef) -> list[ScanPayload]:
     """The payloads of a GOP; what is known of its scans and not in the archive is put aside for the evaluation."""
     if result.failed:
         return []
     table, _ = store.read(dict(result.shards)["residual_code"])
     aside = table.select(["name", *ASIDE])
     if any(aside.column(name).null_count < len(aside) for name in aside.column_names[1:]):
-        store.write(dropped, aside, {"stage": "evaluate"})
+        store.write(put, aside, {"stage": "evaluate"})
     return payloads_of(table)
 
 
-def _dropped_ref(store: ShardStore, gop: GopSource, inputs: str) -> ShardRef:
-    return store.ref(gop.sequence, "dropped", gop.number, inputs)
+def _aside_ref(store: ShardStore, gop: GopSource, inputs: str) -> ShardRef:
+    return store.ref(gop.sequence, "aside", gop.number, inputs)
 
 
 def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo: bool) -> GopResult:
@@ -224,7 +224,7 @@ def _aside(
 
     Empty where nobody put them aside (another run's archive).
     """
-    ref = _dropped_ref(store, gop, inputs)
+    ref = _aside_ref(store, gop, inputs)
     if not store.has(ref):
         return {}, {}, {}
     table, _ = store.read(ref)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.ft2font import FT2Font
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT
 from salpcc.stages.mapping.voxel import SYNTHETIC, Voxels
@@ -24,6 +27,7 @@ _LOW, _HIGH = -2.0, 7.0  # metres above the sensor's way, of the first and last 
 _RED, _ORANGE, _BLUE, _GREEN = _LEVELS + 1, _LEVELS + 2, _LEVELS + 3, _LEVELS + 4
 _GREY, _WHITE = _LEVELS + 5, 255
 _NUMBERED = 30  # objects at most that have their number on a picture
+_POINTS = 11.0  # of what is written
 _MARGIN = 12  # pixels around what is written on a picture
 _BARS = tuple(digit * 10**power for power in range(6) for digit in (1, 2, 5))  # metres
 _REMOVED = {_RED: "of a movable class, or among it", _ORANGE: "seen through"}
@@ -158,20 +162,38 @@ def _png(
     table[1 : _LEVELS + 1] = np.round(255 * scale)
     table[_RED], table[_ORANGE], table[_BLUE] = (235, 40, 45), (255, 150, 40), (90, 170, 255)
     table[_GREEN], table[_GREY], table[_WHITE] = (60, 210, 90), (95, 100, 110), (255, 255, 255)
-    picture = Image.fromarray(image, "P")
-    picture.putpalette(table.ravel().tolist())
-    pen, at = ImageDraw.Draw(picture), WIDTH
+    image, at = image.copy(), WIDTH
     for of, text in reversed(legend.items()):  # from the right upper corner to the left
-        at -= 14 + int(pen.textlength(text)) + _MARGIN
-        pen.rectangle((at, _MARGIN, at + 9, _MARGIN + 9), fill=of)
-        pen.text((at + 14, _MARGIN - 1), text, fill=_WHITE)
+        at -= 14 + _lettering(text).shape[1] + _MARGIN
+        image[_MARGIN : _MARGIN + 10, at : at + 10] = of
+        _write(image, at + 14, _MARGIN - 1, text)
     for column, row, text in notes:
-        pen.text((column, row), text, fill=_WHITE)
+        _write(image, round(column), round(row), text)
     if metres is not None:
         length = next(n for n in _BARS if n / metres > WIDTH / 12)
         y, x = HEIGHT - _MARGIN, WIDTH - _MARGIN
-        pen.rectangle((x - round(length / metres), y - 3, x, y), fill=_WHITE)
-        pen.text((x - round(length / metres), y - 18), f"{length} m", fill=_WHITE)
+        image[y - 3 : y + 1, x - round(length / metres) : x + 1] = _WHITE
+        _write(image, x - round(length / metres), y - 18, f"{length} m")
+    picture = Image.fromarray(image, "P")
+    picture.putpalette(table.ravel().tolist())
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
+
+
+def _write(image: Index, column: int, row: int, text: str) -> None:
+    """Write a text in white, its upper left corner at a column and a row; what lies outside is left out."""
+    r, c = np.nonzero(_lettering(text))
+    r, c = r + row, c + column
+    inside = (r >= 0) & (r < HEIGHT) & (c >= 0) & (c < WIDTH)
+    image[r[inside], c[inside]] = _WHITE
+
+
+@cache
+def _lettering(text: str) -> NDArray[np.bool_]:
+    """The pixels of a text, ``(height, width)``, in matplotlib's own font: Pillow's would load a library of the system."""
+    font = FT2Font(str(Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")))
+    font.set_size(_POINTS, 72)
+    font.set_text(text)
+    font.draw_glyphs_to_bitmap(antialiased=False)
+    return np.asarray(font.get_image()) > 0

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,13 +27,14 @@ from salpcc.pipeline import Archive
 from salpcc.pipeline.cli.app import main
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph.graph import GraphOptions
-from salpcc.pipeline.plan import logs
 from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import LogWarning, SalpccError, SourceError
 from salpcc.schemas.log import LogMessage
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
+from salpcc.schemas.passing_log import PassingLog
+from salpcc.stages.ingest.sources import bag
 from salpcc.stages.ingest.sources.bag import Bag, count_log, find_log, open_log
 from salpcc.stages.ingest.sources.mcap_log import McapLog
 from salpcc.stages.ingest.sources.sqlite_log import SqliteLog
@@ -723,7 +725,14 @@ def test_what_neither_is_coded_nor_passes_makes_no_archive(
     opened = open_log(path)
     gone = next(m for m in opened.messages() if opened.channels[m.channel].topic == "/texts")
     messages = McapLog.messages
-    monkeypatch.setattr(logs, "open_log", lambda p: _Less(p, gone.at, messages))
+    passing = bag.Bag.passing
+
+    def less(*given: Any) -> PassingLog:
+        with monkeypatch.context() as patch:
+            patch.setattr(bag, "open_log", lambda p: _Less(p, gone.at, messages))
+            return passing(*given)
+
+    monkeypatch.setattr(bag.Bag, "passing", less)
     with pytest.raises(SourceError, match="topic /texts: 2 messages to keep, 3 counted"):
         run(path, tmp_path / "out")
     assert not (tmp_path / "out" / "archives" / "mcap.mcap").exists()

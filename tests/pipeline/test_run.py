@@ -51,7 +51,7 @@ def test_configuration_lies_beside_the_results(done: Path) -> None:
 
 
 def test_intermediate_shards_are_gone(done: Path) -> None:
-    assert {path.name for path in (done / "shards" / "00").iterdir()} == {"evaluate"}
+    assert {path.name for path in (done / "shards" / "00").iterdir()} == {"aside", "evaluate"}
 
 
 def test_worker_processes_give_the_same_bytes(done: Path, toy_root: Path, tmp_path: Path, run: Run) -> None:

@@ -141,7 +141,7 @@ def test_shards_say_nothing_of_the_machine(
         for folder in ("shards", "archives", "records")
         for path in (tmp_path / "out" / folder).rglob("*.*")
     ]
-    assert len(files) == 8
+    assert len(files) == 9
     for path in files:
         content = path.read_bytes()
         if path.suffix == ".arrow":
