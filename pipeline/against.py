@@ -35,7 +35,7 @@ class Originals:
         if facts.source not in SOURCES:
             raise UsageError(f"{reader.path}: made from {facts.source}, there are no files to compare with")
         if not SOURCES[facts.source].there(root):
-            raise UsageError(f"{missing_root(root, facts.source)} Pass its place to --against")
+            raise UsageError(missing_root(root, facts.source))
         self._files = SOURCES[facts.source]
         self.root = root
         self._config = facts.config

@@ -96,6 +96,29 @@ def inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -
     return qx, qy, qz
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _newton(x, y, z, s0, c, s, m):  # type: ignore[no-untyped-def]
+    """One Newton step of :func:`inverse` from s on: the next s, whether it is the last, and whether it holds."""
+    qx, qy, _ = turned_back(x, y, z, s, m)
+    t = (x * qy - y * qx) / (x * qx + y * qy)
+    t2 = t * t
+    angle = t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0))))
+    change = (s0 + angle * (1.0 / TWO_PI) - s) / (1.0 - c)
+    return s + change, abs(change) < 1e-5, abs(t) < 0.2
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def inverse_in_two(x: float, y: float, z: float, m: Motion) -> tuple[float, float, float, bool]:
+    """:func:`inverse` (branch 0) where two Newton steps end it, without branches; the last value tells whether they do."""
+    s0 = arctan2(y, x) / TWO_PI
+    rho2 = x * x + y * y
+    c = ((y * m[0] - x * m[1]) / rho2 - m[5]) * (1.0 / TWO_PI)
+    s1, ends1, holds1 = _newton(x, y, z, s0, c, s0 / (1.0 - c), m)
+    s2, ends2, holds2 = _newton(x, y, z, s0, c, s1, m)
+    qx, qy, qz = turned_back(x, y, z, s1 if ends1 else s2, m)
+    return qx, qy, qz, (rho2 > 4.0) & (ends1 | ends2) & (holds1 if ends1 else holds2)
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compensate raw points ``(N, 3)`` in metres for the motion ``(6,)``; the published ones are its float32."""

@@ -10,8 +10,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.message.field_coder import encode_field, encode_like
-from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.field_coder import Points, encode_field, encode_like
 
 _MORE, _SLACK = 1.05, 0.05  # times as many bits a value as when it was searched for; bits a value
 
@@ -27,7 +26,7 @@ class FieldModes:
     ) -> bytes:
         """Encode a field ``(N,)`` as :func:`~.field_coder.encode_field` does, but in the mode that the one of this name had."""
         record, of = self._found.get(name, (b"", 0))
-        if record and len(values):
+        if record and len(values) and not (values[1:] == values[:-1]).all():
             coded = encode_like(record, values, points, base)
             if coded is not None and self._pays(len(coded), len(values), len(record), of):
                 return coded

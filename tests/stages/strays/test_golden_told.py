@@ -13,7 +13,7 @@ import pytest
 
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.message.blended_values import decode_blended, encode_blended
-from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.field_coder import Points
 from salpcc.stages.strays.stray_coder import MOVED, TIMED, decode_strays
 
 TOLD = Path(__file__).parents[2] / "golden" / "told"

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.scan import Scan
+from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import scan_to_sweep
-from salpcc.stages.predict.learned.previous_sweep import warp
+from salpcc.stages.lattice.trig import TWO_PI, arctan2
+from salpcc.stages.lattice.untwist import inverse, moved, twist
+from salpcc.stages.predict.learned.previous_sweep import cones, warp
 from salpcc.stages.predict.learned.recipe import Recipe
 from salpcc.stages.predict.learned.train import collect
 from salpcc.stages.predict.ring_rows import PAD
@@ -49,6 +52,42 @@ def test_any_motion_ends(make_scan: Callable[..., Scan], sensor: SensorModel, si
     sweep = replace(scan_to_sweep(make_scan(motion=None), sensor), motion=np.full(6, size))
     seen = warp(sweep, np.array([1, -1, 1, 2 * np.pi, -1, 1]) * size, sensor)
     assert seen.number.sum() <= len(sweep.laser)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 30.0])
+def test_blocks_give_what_one_return_after_the_other_gives(
+    make_scan: Callable[..., Scan], sensor: SensorModel, size: float
+) -> None:
+    """Also where Newton steps do not end at once, where points come near the axis, and where the nearest cone is far off."""
+    motion = np.array([-0.8, 0.1, -0.3, 2e-3, -1e-3, -0.03]) * size
+    sweep = replace(scan_to_sweep(make_scan(motion=None), sensor), motion=motion)
+    points = twist(unproject(sensor, sweep.laser, sweep.tick, sweep.count.astype(np.float64)), motion)
+    cone = cones(sensor)[:, 1].astype(np.float64)
+    expected = []
+    for number, (point, laser) in enumerate(zip(points, sweep.laser.tolist(), strict=True)):
+        x, y, z = moved(*moved(*point, 0.5, motion), 0.5, motion)
+        if not 0.25 < x * x + y * y < 1e8:
+            continue
+        x, y, z = inverse(x, y, z, motion, 0)
+        rho = np.sqrt(x * x + y * y)
+        if not 0.5 < rho < 1e4:
+            continue
+        off = abs(z - sensor.parameters[:, 1] - rho * cone)
+        k = laser
+        for way in (-1, 1):
+            while 0 <= k + way < len(off) and off[k + way] < off[k]:
+                k += way
+        turn = np.float32(arctan2(y, x) * (4000 / TWO_PI) % 4000)
+        expected.append((k, turn, number, np.float32(1 / rho), np.float32(z / rho)))
+    expected.sort()
+    seen = warp(sweep, motion, sensor)
+    within = [slice(PAD, PAD + m) for m in seen.number]
+    for column, rows in ((1, seen.azimuth), (3, seen.inverse), (4, seen.height)):
+        found = np.concatenate([row[part] for row, part in zip(rows, within, strict=True)])
+        np.testing.assert_array_equal(found, np.array([e[column] for e in expected], np.float32))
+    np.testing.assert_array_equal(
+        seen.number, np.bincount([e[0] for e in expected], minlength=sensor.n_lasers)
+    )
 
 
 def test_it_saves_bytes(make_scan: Callable[..., Scan], sensor: SensorModel) -> None:
