@@ -6,12 +6,15 @@ ordered sample serves every level of the branch (section IV, eqs. (5) to (8)).
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from salpcc.stages.segment.nearest import nearest
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -104,12 +107,11 @@ def _farthest(points: F32, place: I64, count: int) -> NDArray[np.int64]:
     return chosen
 
 
-def interpolate(points: cKDTree, queries: F32) -> tuple[I64, F32]:
-    """Return the three nearest of ``points`` to each query ``(Q, 3)`` and weights by inverse distance."""
-    distance, nearest = points.query(queries, k=3)
-    inverse = 1.0 / (np.asarray(distance) + _FLOOR)
-    weights = (inverse / inverse.sum(axis=1, keepdims=True)).astype(np.float32)
-    return np.asarray(nearest, np.int64), weights
+def interpolate(points: F32, queries: F32) -> tuple[I64, F32]:
+    """Return the three nearest of ``points`` ``(M, 3)`` to each query ``(Q, 3)`` and weights by inverse distance."""
+    distance, places = nearest(points, queries, 3)
+    inverse = np.float32(1.0) / (distance + np.float32(_FLOOR))
+    return places, inverse / inverse.sum(axis=1, keepdims=True)
 
 
 def sample(
@@ -137,16 +139,12 @@ def sample(
     order = farthest_points(taken, count)
     centres = [order[: count // SHRINK**level] for level in range(LEVELS)]
     places = [taken, *(taken[chosen] for chosen in centres)]
-    trees = [cKDTree(there) for there in places]
-    groups = [
-        np.asarray(tree.query(here, k=GROUP)[1], np.int64)
-        for tree, here in zip(trees, places[1:], strict=False)
-    ]
+    groups = [nearest(before, here, GROUP)[1] for before, here in itertools.pairwise(places)]
     parents, weights = zip(
-        *(interpolate(tree, here) for tree, here in zip(trees[2:], places[1:], strict=False)), strict=True
+        *(interpolate(after, here) for here, after in itertools.pairwise(places[1:])), strict=True
     )
     asked = np.ones(len(queries), np.bool_) if asked is None else asked
     pixel_parents = np.zeros((len(queries), 3), np.int64)
     pixel_weights = np.zeros((len(queries), 3), np.float32)
-    pixel_parents[asked], pixel_weights[asked] = interpolate(trees[1], queries[asked])
+    pixel_parents[asked], pixel_weights[asked] = interpolate(places[1], queries[asked])
     return PointSets(source, tuple(centres), tuple(groups), parents, weights, pixel_parents, pixel_weights)

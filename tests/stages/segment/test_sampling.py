@@ -1,7 +1,6 @@
 """The 3-D branch's index sets against plain NumPy."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from salpcc.stages.segment.sampling import GROUP, farthest_points, interpolate, sample
 
@@ -38,12 +37,12 @@ def test_farthest_points_are_nested_and_forget_where_they_are() -> None:
 
 def test_interpolation_against_brute_force() -> None:
     points, queries = _cloud(50), _cloud(20, 2)
-    nearest, weights = interpolate(cKDTree(points), queries)
+    nearest, weights = interpolate(points, queries)
     distance = np.linalg.norm(points[None] - queries[:, None], axis=2)
     assert (np.sort(nearest, 1) == np.sort(distance.argsort(1)[:, :3], 1)).all()
     inverse = 1 / (np.take_along_axis(distance, nearest, 1) + 0.05)
     assert np.allclose(weights, inverse / inverse.sum(1, keepdims=True), atol=1e-5)
-    own, sure = interpolate(cKDTree(points), points)
+    own, sure = interpolate(points, points)
     assert (own[:, 0] == np.arange(50)).all() and (sure[:, 0] > 0.6).all()
 
 
