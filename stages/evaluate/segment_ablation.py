@@ -33,9 +33,9 @@ from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.checkpoint import load_cached
 from salpcc.stages.segment.class_shares import as_in_streets
 from salpcc.stages.segment.confusion import UNLABELLED
-from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.labelling import joined
 from salpcc.stages.segment.objects import judge_objects
+from salpcc.stages.segment.quantised import LabellingNetwork
 from salpcc.stages.segment.registration import steps_between
 from salpcc.stages.segment.reliability import BINS, calibration_error, reliability
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
@@ -102,7 +102,7 @@ def groups(root: Path, sequence: str) -> Iterator[list[tuple[int, Scan, NDArray[
 
 
 def variants(
-    network: FusedNetwork, gop: Sequence[tuple[int, Scan]]
+    network: LabellingNetwork, gop: Sequence[tuple[int, Scan]]
 ) -> Iterator[tuple[str, list[Segmentation]]]:
     """Yield the name of each variant and what it makes of the scans of a group."""
     project = Projector(load_sensor("hdl64e"))

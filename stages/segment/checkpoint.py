@@ -14,8 +14,8 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from salpcc.schemas.files import atomic
-from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork
+from salpcc.stages.segment.quantised import LabellingNetwork, for_labelling
 from salpcc.stages.segment.weights_file import WeightsError, read_weights
 
 VERSION = 1
@@ -73,6 +73,6 @@ def load_weights(path: Path) -> tuple[SegmentNetwork, dict[str, object]]:
 
 
 @lru_cache(maxsize=2)
-def load_cached(path: Path, device: str = "cpu") -> FusedNetwork:
+def load_cached(path: Path, device: str = "cpu") -> LabellingNetwork:
     """Read a network for labelling, once per process."""
-    return FusedNetwork(load_weights(path)[0], device)
+    return for_labelling(load_weights(path)[0], device)

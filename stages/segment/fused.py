@@ -2,22 +2,27 @@
 
 Batch norms are inside the weights before them. Kernels of 1 and 3 pixels become one of 3, those of 5 and 7 one of 7
 (sixteen channels cost what eight do). The channels of a pixel lie together, and the head's are ordered so that
-unfolding moves nothing. A CPU that multiplies bfloat16 does so on the image side; the 3-D branch is float32.
+unfolding moves nothing. :mod:`.quantised` does the same in whole numbers.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
 from salpcc.stages.segment.features import COORDINATES, DEPTH, INTENSITY
+from salpcc.stages.segment.inputs import network_input, stack
 from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork
 from salpcc.stages.segment.point_branch import PointTensors
+
+F32 = NDArray[np.float32]
 
 # Columns repeated at both ends, so that the seam behind the vehicle is seen whole; divides by every fold and level.
 SEAM = 64
@@ -29,16 +34,12 @@ class FusedNetwork(nn.Module):
     Args:
         network: what is computed.
         device: where.
-        dtype: of the image side; by default bfloat16 on a CPU that has its products, else float32.
     """
 
-    def __init__(
-        self, network: SegmentNetwork, device: str = "cpu", dtype: torch.dtype | None = None
-    ) -> None:
+    def __init__(self, network: SegmentNetwork, device: str = "cpu") -> None:
         super().__init__()
         self.config = network.config
         self.device = device
-        self.dtype = dtype or _fastest(device)
         blocks: Any = copy.deepcopy(network).eval().requires_grad_(False)
         self.modalities = nn.ModuleList(_Residual(block, self.config.fold) for block in blocks.modalities)
         self.fusion = nn.Sequential(*map(_conv, blocks.fusion))
@@ -47,18 +48,24 @@ class FusedNetwork(nn.Module):
         self.decoders = nn.ModuleList(map(_Filter, blocks.decoders))
         by_column = torch.arange(N_CLASSES * self.config.fold).reshape(N_CLASSES, -1).T.ravel()
         self.head = _Convolution(blocks.head.weight[by_column], blocks.head.bias[by_column])
-        self.to(self.dtype, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.points = blocks.points
         for half in (self.points.encoders, self.points.decoders):
             for i, block in enumerate(half):
                 half[i] = _Rows(block)
         self.to(device)
 
+    def logits(self, planes: F32) -> F32:
+        """Return logits ``(H, W, 19)`` of planes ``(6, H, W)`` of a whole turn, which has a return."""
+        features, sets = stack([network_input(planes, self.config.fold, self.config.n_points, circular=True)])
+        found: F32 = self(features.to(self.device), sets.to(self.device)).cpu().numpy()
+        return found
+
     def forward(self, features: Tensor, sets: PointTensors) -> Tensor:
         """Map features ``(1, 19, H, W)`` and point sets of a whole turn to logits ``(H, W, 19)`` float32."""
         fold, side = self.config.fold, SEAM // self.config.fold
         _, channels, height, width = features.shape
-        rows = features[0].to(self.dtype).permute(1, 2, 0).reshape(height, width // fold, fold, channels)
+        rows = features[0].permute(1, 2, 0).reshape(height, width // fold, fold, channels)
         rows = torch.cat([rows[:, -side:], rows, rows[:, :side]], 1)
         images = [
             block(part.reshape(1, height, -1, part.shape[-1] * fold).permute(0, 3, 1, 2))
@@ -72,9 +79,9 @@ class FusedNetwork(nn.Module):
             per_sample_weights=sets.pixel_weights[0],
             mode="sum",
         )
-        cloud = cloud.to(self.dtype).reshape(1, height, width // fold, -1)
+        cloud = cloud.reshape(1, height, width // fold, -1)
         cloud = torch.cat([cloud[:, :, -side:], cloud, cloud[:, :, :side]], 2)
-        fused = self.fusion(_join([*images, cloud.permute(0, 3, 1, 2)]))
+        fused = self.fusion(join([*images, cloud.permute(0, 3, 1, 2)]))
 
         skips: list[Tensor] = []
         level = fused
@@ -84,14 +91,8 @@ class FusedNetwork(nn.Module):
         for i in range(len(skips) - 2, -1, -1):
             lifted = functional.interpolate(self.lifts[i](level), scale_factor=2, mode="nearest")
             level = self.decoders[i](lifted.add_(skips[i]))
-        logits = self.head(_join([level, fused])).permute(0, 2, 3, 1)
-        return logits[0, :, side:-side].float().reshape(height, width, N_CLASSES).contiguous()
-
-
-def _fastest(device: str) -> torch.dtype:
-    # An older torch does not tell what the processor can.
-    can: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)() if device == "cpu" else {}
-    return torch.bfloat16 if can.get("avx512_bf16") or can.get("amx_bf16") else torch.float32
+        logits = self.head(join([level, fused])).permute(0, 2, 3, 1)
+        return logits[0, :, side:-side].reshape(height, width, N_CLASSES).contiguous()
 
 
 class _Convolution(nn.Module):
@@ -123,22 +124,22 @@ class _Residual(nn.Module):
         inputs = block.shortcut.weight.shape[1]
         by_column = torch.arange(inputs).reshape(-1, fold).T.ravel()
         norm, out = block.norm[0], block.out[0]
-        weight, bias = _normed(_centred([conv.weight[:, by_column] for conv in block.parallel]), norm)
+        weight, bias = normed(centred([conv.weight[:, by_column] for conv in block.parallel]), norm)
         near = sum(len(conv.weight) for conv in block.parallel if conv.weight.shape[-1] <= 3)
         self.near = _Convolution(weight[:near, :, 2:-2, 2:-2], bias[:near], relu=True)
         self.far = _Convolution(weight[near:], bias[near:], relu=True)
         self.dense = nn.ModuleList(map(_conv, block.dense))
         layered = block.last.weight.shape[1]
         both = torch.cat([block.last.weight, block.shortcut.weight[:, by_column]], 1)
-        weight, bias = _normed(both, out)
+        weight, bias = normed(both, out)
         self.last = _Convolution(weight[:, :layered], bias)
         self.shortcut = _Convolution(weight[:, layered:], None)
 
     def forward(self, image: Tensor) -> Tensor:
         """Map ``(1, inputs, H, W)`` to ``(1, width, H, W)``."""
-        layered = _join([self.near(image), self.far(image)])
+        layered = join([self.near(image), self.far(image)])
         for layer in self.dense:
-            layered = _join([layered, layer(layered)])
+            layered = join([layered, layer(layered)])
         return self.last(layered).add_(self.shortcut(image)).relu_()
 
 
@@ -147,8 +148,8 @@ class _Filter(nn.Module):
 
     def __init__(self, block: Any) -> None:
         super().__init__()
-        weight = _centred([block.point.weight, block.around.weight])
-        self.both = _Convolution(*_normed(weight, block.norm))
+        weight = centred([block.point.weight, block.around.weight])
+        self.both = _Convolution(*normed(weight, block.norm))
         self.residual = block.residual
 
     def forward(self, image: Tensor) -> Tensor:
@@ -163,7 +164,7 @@ class _Rows(nn.Module):
     def __init__(self, block: Any) -> None:
         super().__init__()
         for i, (linear, norm) in enumerate(zip(block.linear, block.norm, strict=True)):
-            weight, bias = _normed(linear.weight, norm)
+            weight, bias = normed(linear.weight, norm)
             block.linear[i] = nn.Linear(*weight.T.shape).requires_grad_(False)
             block.linear[i].weight.copy_(weight)
             block.linear[i].bias.copy_(bias)
@@ -179,22 +180,22 @@ class _Rows(nn.Module):
 def _conv(block: Any) -> _Convolution:
     """:class:`~salpcc.stages.segment.blocks.Conv`."""
     conv, norm, _ = block
-    return _Convolution(*_normed(conv.weight, norm), relu=True)
+    return _Convolution(*normed(conv.weight, norm), relu=True)
 
 
-def _normed(weight: Tensor, norm: nn.BatchNorm1d | nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
+def normed(weight: Tensor, norm: nn.BatchNorm1d | nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
     """Return weights ``(outputs, ...)`` and bias ``(outputs,)`` that do what the batch norm behind does, too."""
     assert norm.running_mean is not None and norm.running_var is not None
     scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
     return weight * scale.reshape(-1, *[1] * (weight.ndim - 1)), norm.bias - norm.running_mean * scale
 
 
-def _centred(kernels: Sequence[Tensor]) -> Tensor:
+def centred(kernels: Sequence[Tensor]) -> Tensor:
     """Join odd kernels ``(outputs, inputs, k, k)`` over the outputs, each in the middle of the largest."""
     side = max(kernel.shape[-1] for kernel in kernels)
     return torch.cat([functional.pad(kernel, [(side - kernel.shape[-1]) // 2] * 4) for kernel in kernels])
 
 
-def _join(images: Sequence[Tensor]) -> Tensor:
+def join(images: Sequence[Tensor]) -> Tensor:
     """Join images over their channels, which lie together."""
     return torch.cat([image.permute(0, 2, 3, 1) for image in images], 3).permute(0, 3, 1, 2)

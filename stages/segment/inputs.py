@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,43 +39,70 @@ def network_input(
     """Prepare planes ``(6, H, W)``; needs at least one return.
 
     Args:
+        fold, n_points, rng: as in :func:`cloud_input`.
+        circular: a whole turn rather than a crop.
+    """
+    points, sets = cloud_input(planes, fold, n_points, rng)
+    return NetworkInput(pixel_features(np.ascontiguousarray(planes), circular), points, sets)
+
+
+def cloud_input(
+    planes: F32, fold: int, n_points: int, rng: np.random.Generator | None = None
+) -> tuple[F32, PointSets]:
+    """Return the source points ``(P, 5)`` of the 3-D branch of planes ``(6, H, W)``, and its index sets.
+
+    Args:
         fold: columns per folded pixel; its first return stands for it in the 3-D branch.
         n_points: points of the first level.
-        circular: a whole turn rather than a crop.
         rng: as in :func:`~salpcc.stages.segment.sampling.sample`.
     """
     _, height, width = planes.shape
-    folded = planes.reshape(len(planes), height, width // fold, fold)
-    first = (folded[RANGE] > 0).argmax(axis=2)
-    stands = np.take_along_axis(folded, first[None, :, :, None], axis=3)[..., 0].reshape(len(planes), -1)
-    seen = planes[:, planes[RANGE] > 0]
-    asked = stands[RANGE] > 0
-    sets = sample(np.ascontiguousarray(seen[:3].T), np.ascontiguousarray(stands[:3].T), n_points, rng, asked)
-    taken = seen[:, sets.source]
-    points = np.concatenate([taken[:3], taken[HEIGHT, None].clip(-2, 6) / 2, taken[INTENSITY, None]])
-    return NetworkInput(
-        pixel_features(np.ascontiguousarray(planes), circular), np.ascontiguousarray(points.T), sets
-    )
+    first = (planes[RANGE].reshape(height, -1, fold) > 0).argmax(axis=2)
+    shown = (np.arange(height * width // fold).reshape(first.shape) * fold + first).ravel()
+    flat = planes.reshape(len(planes), -1)
+    seen = np.flatnonzero(flat[RANGE])
+    stands = np.ascontiguousarray(flat[:3, shown].T)
+    points = np.ascontiguousarray(flat[:3, seen].T)
+    sets = sample(points, stands, n_points, rng, flat[RANGE, shown] > 0)
+    taken = flat[:, seen[sets.source]]
+    told = np.concatenate([taken[:3], taken[HEIGHT, None].clip(-2, 6) / 2, taken[INTENSITY, None]])
+    return np.ascontiguousarray(told.T), sets
 
 
 def stack(inputs: Sequence[NetworkInput]) -> tuple[torch.Tensor, PointTensors]:
     """Stack inputs of one size into a batch: features ``(B, 19, H, W)`` and point tensors."""
-    sets = [one.sets for one in inputs]
+    parts = [as_tensors(one.points, one.sets) for one in inputs]
+
+    def joined(name: str) -> torch.Tensor:
+        return torch.cat([getattr(part, name) for part in parts])
 
     def levels(name: str) -> list[torch.Tensor]:
-        return [_stacked(list(level)) for level in zip(*(getattr(s, name) for s in sets), strict=True)]
+        return [torch.cat(level) for level in zip(*(getattr(part, name) for part in parts), strict=True)]
 
     tensors = PointTensors(
-        _stacked([one.points for one in inputs]),
+        joined("features"),
         levels("centres"),
         levels("groups"),
         levels("parents"),
         levels("weights"),
-        _stacked([s.pixel_parents for s in sets]),
-        _stacked([s.pixel_weights for s in sets]),
+        joined("pixel_parents"),
+        joined("pixel_weights"),
     )
-    return _stacked([one.features for one in inputs]), tensors
+    return torch.from_numpy(np.stack([one.features for one in inputs])), tensors
 
 
-def _stacked(arrays: Sequence[NDArray[np.generic]]) -> torch.Tensor:
-    return torch.from_numpy(np.stack(arrays))
+def as_tensors(points: F32, sets: PointSets) -> PointTensors:
+    """Return the 3-D branch's input as a batch of one."""
+    return PointTensors(
+        _one(points),
+        list(map(_one, sets.centres)),
+        list(map(_one, sets.groups)),
+        list(map(_one, sets.parents)),
+        list(map(_one, sets.weights)),
+        _one(sets.pixel_parents),
+        _one(sets.pixel_weights),
+    )
+
+
+def _one(array: NDArray[Any]) -> torch.Tensor:
+    return torch.from_numpy(array)[None]

@@ -18,10 +18,10 @@ _SIDE = 256  # cells; what lies beyond is in those of the edge
 
 
 @njit(cache=True)
-def _along(value: float, cell: float) -> float:
+def _along(value: np.float32, cell: np.float32) -> np.float32:
     """Return the place of a coordinate along the grid, in cells; no two come to lie farther apart than they are."""
     last = np.float32(_SIDE) - np.float32(0.01)
-    return min(max(np.float32(value) / cell + np.float32(_SIDE // 2), np.float32(0.0)), last)
+    return min(max(value / cell + np.float32(_SIDE // 2), np.float32(0.0)), last)
 
 
 @njit(cache=True)

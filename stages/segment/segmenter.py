@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS
 from salpcc.stages.segment.back_projection import classes_of_points
 from salpcc.stages.segment.class_shares import as_in_streets
-from salpcc.stages.segment.fused import FusedNetwork
-from salpcc.stages.segment.inputs import network_input, stack
 from salpcc.stages.segment.network import N_CLASSES
+from salpcc.stages.segment.quantised import LabellingNetwork
 from salpcc.stages.segment.range_image import RangeImage, project
 
 F32 = NDArray[np.float32]
@@ -48,7 +47,7 @@ class Segmentation:
         return classes_of_points(self.image, self.classes())
 
 
-def class_scores(network: FusedNetwork, points: F32, intensity: F32) -> tuple[RangeImage, F32]:
+def class_scores(network: LabellingNetwork, points: F32, intensity: F32) -> tuple[RangeImage, F32]:
     """Run the network on points ``(N, 3)`` and intensities ``(N,)`` of one scan, of any sensor.
 
     Returns the range image and the logits ``(64, W, 19)`` of the classes, as trained. On one thread, so that a
@@ -57,11 +56,8 @@ def class_scores(network: FusedNetwork, points: F32, intensity: F32) -> tuple[Ra
     image = project(points, intensity)
     if not (image.index >= 0).any():
         return image, np.zeros((*image.index.shape, N_CLASSES), np.float32)
-    config = network.config
-    features, sets = stack([network_input(image.planes, config.fold, config.n_points, circular=True)])
     with torch.inference_mode(), _one_thread():
-        logits = network(features.to(network.device), sets.to(network.device))
-        return image, logits.cpu().numpy()
+        return image, network.logits(image.planes)
 
 
 def by_group(image: RangeImage, scores: F32) -> Segmentation:
@@ -99,13 +95,13 @@ def _sums(
     return sums, best
 
 
-def segment_scan(network: FusedNetwork, points: F32, intensity: F32) -> Segmentation:
+def segment_scan(network: LabellingNetwork, points: F32, intensity: F32) -> Segmentation:
     """Segment one scan, its classes weighed as they occur in streets."""
     image, scores = class_scores(network, points, intensity)
     return by_group(image, as_in_streets(scores))
 
 
-def label_points(network: FusedNetwork, points: F32, intensity: F32) -> NDArray[np.uint8]:
+def label_points(network: LabellingNetwork, points: F32, intensity: F32) -> NDArray[np.uint8]:
     """Return the class ``(N,)`` uint8 of every point of a scan."""
     return segment_scan(network, points, intensity).labels()
 

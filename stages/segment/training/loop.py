@@ -17,8 +17,8 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.segment.checkpoint import load_weights, save_weights
 from salpcc.stages.segment.class_shares import training_weights
-from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.network import WIDTHS, SegmentNetwork, for_cpu
+from salpcc.stages.segment.quantised import for_labelling
 from salpcc.stages.segment.training.labelled import sequence_of
 from salpcc.stages.segment.training.losses import segmentation_loss
 from salpcc.stages.segment.training.recipe import Phase, Recipe
@@ -192,7 +192,7 @@ def train_segment(
         row["seconds"] = time.monotonic() - begun
         network = trainer.averaged()
         if held_out:
-            row |= scores(count_scans(FusedNetwork(network, device), held_out))
+            row |= scores(count_scans(for_labelling(network, device), held_out))
         facts: dict[str, object] = {
             "sequences": sequences,
             "scans": len(refs),

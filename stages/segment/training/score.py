@@ -11,7 +11,7 @@ from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS, GROUPS, MOVAB
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.segment.confusion import UNLABELLED, confusion, intersection_over_union, mean_iou
-from salpcc.stages.segment.fused import FusedNetwork
+from salpcc.stages.segment.quantised import LabellingNetwork
 from salpcc.stages.segment.segmenter import label_points
 from salpcc.stages.segment.training.labelled import not_movable, raw_labels, sequence_of
 
@@ -20,7 +20,7 @@ TERRAIN = next(i for i, c in enumerate(CLASSES) if c.name == "terrain")
 TWELVE = tuple(i for i, c in enumerate(CLASSES) if c.group and c.ids)
 
 
-def count_scans(network: FusedNetwork, refs: Iterable[ScanRef]) -> NDArray[np.int64]:
+def count_scans(network: LabellingNetwork, refs: Iterable[ScanRef]) -> NDArray[np.int64]:
     """Return the confusion matrix ``(21, 21)`` of all points of the scans, truth by row.
 
     Points of scans with boxes that are known not to be movable, and no more, are in row 0.
@@ -87,7 +87,7 @@ def scores(counts: NDArray[np.int64]) -> dict[str, float]:
     }
 
 
-def score_table(network: FusedNetwork, refs: Sequence[ScanRef]) -> Iterator[str]:
+def score_table(network: LabellingNetwork, refs: Sequence[ScanRef]) -> Iterator[str]:
     """Score scan by scan and yield lines of a table, the last of them for all scans together.
 
     Each scan by itself, without what its neighbours see.

@@ -1,0 +1,92 @@
+"""The network in whole numbers says nearly what the trained one says, whatever its weights."""
+
+import numpy as np
+import pytest
+import torch
+
+from salpcc.stages.segment.fused import FusedNetwork
+from salpcc.stages.segment.inputs import network_input, stack
+from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork
+from salpcc.stages.segment.quantised import QuantisedNetwork, _Bytes, _Spread, _Sums, for_labelling
+from salpcc.stages.segment.range_image import project
+
+SMALL = NetworkConfig("folded", 4, 16, 8, 2, (8, 8, 8), 64, 16, (16, 24, 32), 2)
+
+
+def _able() -> bool:
+    return isinstance(for_labelling(SegmentNetwork(SMALL)), QuantisedNetwork)
+
+
+needs_vnni = pytest.mark.skipif(not _able(), reason="this CPU adds up no products of bytes: float32 labels")
+
+
+@pytest.fixture
+def seen(make_scan) -> tuple[SegmentNetwork, np.ndarray]:
+    """A network whose batch norms know what comes, as training leaves them, and planes."""
+    planes = project(make_scan().points, make_scan().intensity).planes[:, :, :256].copy()
+    torch.manual_seed(1)
+    network = SegmentNetwork(SMALL)
+    for module in network.modules():
+        if isinstance(module, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d):
+            module.momentum = None
+            torch.nn.init.normal_(module.weight, 1, 0.2)
+            torch.nn.init.normal_(module.bias, 0, 0.2)
+    with torch.inference_mode():
+        network.train()(*stack([network_input(planes, SMALL.fold, SMALL.n_points, circular=True)]))
+    return network.eval(), planes
+
+
+@needs_vnni
+def test_it_says_what_the_trained_one_says(seen) -> None:
+    network, planes = seen
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    with torch.inference_mode():
+        wanted = FusedNetwork(network).logits(planes)
+        found = QuantisedNetwork(network).logits(planes)
+    assert found.shape == wanted.shape == (64, 256, 19) and found.dtype == np.float32
+    assert np.abs(found - wanted).mean() < 0.1 * wanted.std()
+    assert abs((found - wanted).mean()) < 0.02 * wanted.std()
+    assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
+
+
+@needs_vnni
+@pytest.mark.parametrize("side", [1, 3])
+@pytest.mark.parametrize("zero", [0, 96])
+def test_sums_of_bytes(side: int, zero: int) -> None:
+    """A convolution of bytes is that of the numbers they mean, but for rounding; and adds its input."""
+    torch.manual_seed(side)
+    channels = 8
+    image = torch.randint(0, 256, (1, channels, 6, 7), dtype=torch.uint8).to(
+        memory_format=torch.channels_last
+    )
+    step = torch.rand(channels) * 0.1 + 0.01
+    source = _Bytes(step, torch.full((channels,), float(zero)), (image.float() - zero).mean((0, 2, 3)) * step)
+    numbers = (image.float() - zero) * step[:, None, None]
+    weight, bias = torch.randn(channels, channels, side, side) / side, torch.randn(channels)
+    wanted = torch.nn.functional.conv2d(numbers, weight, bias, padding=side // 2)
+    close = 0.03 * wanted.std()
+    assert ((_Sums(weight, bias, source, None)(image) - wanted).abs() < close).all()
+    target = 4 * step
+    room = 255 * target[:, None, None]
+    found = _Sums(weight, bias, source, target)(image).float() * target[:, None, None]
+    assert ((found - wanted.clamp_min(0).minimum(room)).abs() < close + target.max()).all()
+    found = _Sums(weight, bias, source, target).beside(image, 0.25).float() * target[:, None, None]
+    assert ((found - (wanted + numbers).clamp_min(0).minimum(room)).abs() < close + target.max()).all()
+
+
+def test_rectified_normal_numbers() -> None:
+    torch.manual_seed(0)
+    spread = _Spread(torch.tensor([-2.0, 0.0, 1.0]), torch.tensor([1.0, 0.5, 2.0]))
+    drawn = (torch.randn(200_000, 3) * spread.deviation + spread.mean).clamp_min(0)
+    mean, deviation = spread.rectified()
+    assert torch.allclose(mean, drawn.mean(0), atol=0.01)
+    assert torch.allclose(deviation, drawn.std(0), atol=0.01)
+
+
+def test_a_processor_without_products_of_bytes_computes_in_float32(monkeypatch) -> None:
+    network = SegmentNetwork(SMALL)
+    monkeypatch.delattr(torch.cpu, "get_capabilities", raising=False)  # as in older versions
+    assert isinstance(for_labelling(network), FusedNetwork)
+    able = {"avx512_vnni": False, "avx_vnni": False, "amx_int8": False}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: able, raising=False)
+    assert isinstance(for_labelling(network), FusedNetwork)
