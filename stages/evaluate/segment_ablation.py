@@ -31,7 +31,7 @@ from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.checkpoint import load_cached
-from salpcc.stages.segment.class_shares import as_in_streets
+from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.confusion import UNLABELLED
 from salpcc.stages.segment.labelling import joined
 from salpcc.stages.segment.objects import judge_objects
@@ -108,8 +108,8 @@ def variants(
     project = Projector(load_sensor("hdl64e"))
     sweeps = [project(number, scan) for number, scan in gop]
     found = [class_scores(network, scan.points, scan.intensity) for _, scan in gop]
-    yield "as trained, scan by scan", [by_group(*one) for one in found]
-    weighed = [by_group(image, as_in_streets(scores)) for image, scores in found]
+    yield "as trained, scan by scan", [by_group(*one, np.zeros_like(AS_IN_STREETS)) for one in found]
+    weighed = [by_group(*one, AS_IN_STREETS) for one in found]
     yield "class shares taken back, scan by scan", weighed
     steps = steps_between(weighed, joined(sweeps), [sweep.motion for sweep in sweeps])
     yield "the same, several scans", agree(weighed, steps, free_space=False)

@@ -27,15 +27,10 @@ _HEAVIEST = np.float32(
 # et al., ICLR 2021). Vehicles are left as they are: what is taken from trucks and buses is lost (measured).
 _PASTED_TOO_OFTEN = 20.0
 _PASTED = [name in ("bicycle", "motorcycle", "person", "bicyclist", "motorcyclist") for name in _NAMES]
-_LOG_PRIOR = np.log(np.where(_PASTED, 1.0 / _PASTED_TOO_OFTEN, 1.0)).astype(np.float32)
+AS_IN_STREETS = np.log(np.where(_PASTED, 1.0 / _PASTED_TOO_OFTEN, 1.0)).astype(np.float32)
 
 
 def training_weights(root: float = 4.0) -> NDArray[np.float32]:
     """Return the weight ``(19,)`` of each class in the loss: root of the inverse share, mean 1 over the points."""
     weights = np.minimum(SHARES ** np.float32(-1.0 / root), _HEAVIEST)
     return weights / (weights * SHARES).sum()
-
-
-def as_in_streets(logits: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Turn the network's logits ``(..., 19)`` into those for streets with no pasted people."""
-    return logits + _LOG_PRIOR

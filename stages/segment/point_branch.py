@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 POINT_FEATURES = 5  # x, y, z in metres, height above the ground, intensity
-_SCALES = (1.0, 2.0, 4.0)  # metres between the points of each level, about
+SCALES = (1.0, 2.0, 4.0)  # metres between the points of each level, about
 
 
 class PointTensors(NamedTuple):
@@ -92,7 +92,7 @@ class PointBranch(nn.Module):
         levels = []
         source = where
         for encoder, scale, centres, group in zip(
-            self.encoders, _SCALES, sets.centres, sets.groups, strict=True
+            self.encoders, SCALES, sets.centres, sets.groups, strict=True
         ):
             here = gather(source, centres)
             offset = (gather(where, group) - here.unsqueeze(2)) / scale

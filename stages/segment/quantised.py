@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from salpcc.stages.segment.byte_images import halved, lifted, mixed, to_bytes
+from salpcc.stages.segment.cloud import Cloud
 from salpcc.stages.segment.features import COORDINATES, DEPTH, INTENSITY, pixel_features
 from salpcc.stages.segment.fused import SEAM, FusedNetwork, centred, join, normed
-from salpcc.stages.segment.inputs import as_tensors, cloud_input
+from salpcc.stages.segment.inputs import cloud_input
 from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork
 
 F32 = NDArray[np.float32]
@@ -195,7 +196,7 @@ class QuantisedNetwork:
 
     def __init__(self, network: SegmentNetwork) -> None:
         self.config = network.config
-        self.points = FusedNetwork(network).points
+        self.points = Cloud(FusedNetwork(network).points)
         blocks: Any = copy.deepcopy(network).eval().requires_grad_(False)
         largest, mean = _FEATURES
         features = _Bytes(largest / (255 - _ZERO), torch.full_like(mean, _ZERO), mean)
@@ -271,7 +272,7 @@ class QuantisedNetwork:
             for block, part in zip(self.modalities, parts, strict=True)
         ]
         cloud, sets = cloud_input(planes, fold, self.config.n_points)
-        rows = (self.points.first_level(as_tensors(cloud, sets))[0] / self.cloud).numpy()
+        rows = (self.points.first_level(cloud, sets) / self.cloud).numpy()
         images.append(_image(mixed(rows, sets.pixel_parents, sets.pixel_weights, height, side)))
         level = join(images)
         for layer in self.fusion:

@@ -7,6 +7,7 @@ image is made from points alone, so one path serves scans on the lattice, raw on
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -42,6 +43,22 @@ class RangeImage:
     row: NDArray[np.int32]
     column: NDArray[np.int32]
     distance: F32
+
+    @cached_property
+    def places(self) -> F32:
+        """Return x, y, z, range of each pixel ``(64, W, 4)``, which lie together; where there is no return, infinity."""
+        return _places(self.planes, self.index)
+
+
+@njit(cache=True)
+def _places(planes: F32, index: I32) -> F32:
+    rows, columns = index.shape
+    out = np.empty((rows, columns, RANGE + 1), np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            for k in range(RANGE + 1):
+                out[i, j, k] = planes[k, i, j] if index[i, j] >= 0 else np.float32(np.inf)
+    return out
 
 
 @njit(cache=True)

@@ -26,6 +26,7 @@ _SPEEDS = -np.arange(
 )  # metres that a scan before lies back that a search without a guess begins from
 _STEPS = 8
 _REACH = (1.2, 0.3)  # metres that matches may be apart, at first and at last
+_STILL, _UNTURNED = 0.003, 3e-4  # metres and radians of a correction that is none
 _LEAST_MATCHED = 0.4  # share of the points, below which nothing is known
 _LEAST_POINTS = 300
 _COLUMNS = 3  # pixels to either side that a match is looked for in
@@ -68,13 +69,13 @@ def surface_normals(planes: F32) -> F32:
 
 @njit(cache=True)
 def _match(
-    points: F64, pose: F64, planes: F32, normals: F32, tangent: F64, z0: F64, reach: float
+    points: F64, pose: F64, places: F32, normals: F32, tangent: F64, z0: F64, reach: float
 ) -> tuple[F64, F64, int, int]:
-    """Sum up the normal equations of points ``(N, 3)``, carried by ``pose``, against the planes around their places.
+    """Sum up the normal equations of points ``(N, 3)``, carried by ``pose``, against the ``places`` ``(H, W, 4)`` around theirs.
 
     Returns ``(6, 6)``, ``(6,)`` of a turn and a shift, how many points found a match, and how many an upright one.
     """
-    _, rows, columns = planes.shape
+    rows, columns, _ = places.shape
     left = np.zeros((6, 6))
     right = np.zeros(6)
     row_of = np.zeros(6)
@@ -94,9 +95,7 @@ def _match(
         for a in range(max(row - 1, 0), min(row + 1, rows - 1) + 1):
             for step in range(-_COLUMNS, _COLUMNS + 1):
                 b = (centre + step) % columns
-                if planes[RANGE, a, b] <= 0:
-                    continue
-                dx, dy, dz = planes[0, a, b] - x, planes[1, a, b] - y, planes[2, a, b] - z
+                dx, dy, dz = places[a, b, 0] - x, places[a, b, 1] - y, places[a, b, 2] - z
                 off = dx * dx + dy * dy + dz * dz
                 if off < nearest:
                     nearest, at_row, at_column = off, a, b
@@ -108,9 +107,9 @@ def _match(
         matched += 1
         upright += abs(w) < _UPRIGHT
         residual = (
-            u * (planes[0, at_row, at_column] - x)
-            + v * (planes[1, at_row, at_column] - y)
-            + w * (planes[2, at_row, at_column] - z)
+            u * (places[at_row, at_column, 0] - x)
+            + v * (places[at_row, at_column, 1] - y)
+            + w * (places[at_row, at_column, 2] - z)
         )
         share = 1.0 - (residual / reach) ** 2  # Tukey's
         weight = share * share
@@ -134,20 +133,17 @@ def steps_between(
         motions: ``(6,)``, the shift and turn that was taken out of each scan, where one was: the search begins there.
     """
     steps: list[F64 | None] = []
-    before: tuple[F32, F32] | None = None
     points = np.zeros((0, 3))
     for one, follows, motion in zip(found, joined, motions, strict=True):
-        planes = np.ascontiguousarray(one.image.planes)
-        normals = surface_normals(planes)
+        normals = surface_normals(one.image.planes)
         known = None if motion is None else as_pose(motion)
         last = steps[-1] if steps else None
         step = None
-        if before is not None and follows:
-            step = register(planes, normals, points, last if known is None else known)
+        if steps and follows:
+            step = register(one.image.places, normals, points, last if known is None else known)
             step = known if step is None else step
         steps.append(step)
-        before = planes, normals
-        points = sampled(planes, normals, (one.image.index >= 0) & (one.groups[MOVABLE] < 0.5))
+        points = sampled(one.image.places, normals, one.groups[MOVABLE])
     return steps
 
 
@@ -159,20 +155,30 @@ def as_pose(motion: F64) -> F64:
     return pose
 
 
-def sampled(planes: F32, normals: F32, still: NDArray[np.bool_]) -> F64:
-    """Return points ``(N, 3)`` of an image to be registered: those ``still`` ``(H, W)`` that lie on a surface, thinned out."""
-    rows, columns = np.indices(still.shape)
-    level = np.abs(normals[:, :, 2]) > _LEVEL
-    turn = columns + rows
-    taken = still & normals.any(axis=2) & (turn % np.where(level, _EVERY_LEVEL, _EVERY) == 0)
-    return np.ascontiguousarray(planes[:3, taken].T.astype(np.float64))
+@njit(cache=True)
+def sampled(places: F32, normals: F32, movable: F32) -> F64:
+    """Return points ``(N, 3)`` of an image to be registered: what is not ``movable`` ``(H, W)`` and on a surface, thinned out."""
+    rows, columns, _ = normals.shape
+    points = np.empty((rows * columns, 3))
+    count = 0
+    for i in range(rows):
+        for j in range(-i % _EVERY, columns, _EVERY):
+            u, v, w = normals[i, j]
+            if movable[i, j] >= 0.5 or (u == 0 and v == 0 and w == 0):
+                continue
+            if abs(w) > _LEVEL and (i + j) % _EVERY_LEVEL:
+                continue
+            for axis in range(3):
+                points[count, axis] = places[i, j, axis]
+            count += 1
+    return points[:count].copy()
 
 
-def register(planes: F32, normals: F32, points: F64, guess: F64 | None = None) -> F64 | None:
+def register(places: F32, normals: F32, points: F64, guess: F64 | None = None) -> F64 | None:
     """Return the pose ``(4, 4)`` that carries ``points`` ``(N, 3)`` of a scan into the frame of a neighbour's image.
 
     Args:
-        planes, normals: ``(6, H, W)`` and ``(H, W, 3)`` of the neighbour.
+        places, normals: ``(H, W, 4)`` and ``(H, W, 3)`` of the neighbour.
         guess: where the search begins; without it, at several speeds straight ahead.
 
     Returns:
@@ -181,26 +187,30 @@ def register(planes: F32, normals: F32, points: F64, guess: F64 | None = None) -
     if len(points) < _LEAST_POINTS:
         return None
     sensor = load_sensor("hdl64e")
-    grid = planes, normals, np.tan(sensor.theta), sensor.z0
+    grid = places, normals, np.tan(sensor.theta), sensor.z0
     pose = guess if guess is not None else _nearest_speed(points, *grid)
     matched = 0
-    for reach in np.geomspace(*_REACH, _STEPS):
+    reaches = np.geomspace(*_REACH, _STEPS).tolist()
+    while reaches:
+        reach = reaches.pop(0)
         left, right, matched, _ = _match(points, pose, *grid, reach)
         if matched < _LEAST_MATCHED * len(points):
             break
         turn = np.linalg.solve(left + 1e-6 * np.eye(6), right)
         pose = as_pose(np.concatenate([turn[3:], turn[:3]])) @ pose
+        if np.abs(turn[3:]).max() < _STILL and np.abs(turn[:3]).max() < _UNTURNED:
+            reaches = reaches[-1:]  # the last reach is the finest
     return pose if matched >= _LEAST_MATCHED * len(points) else None
 
 
-def _nearest_speed(points: F64, planes: F32, normals: F32, tangent: F64, z0: F64) -> F64:
+def _nearest_speed(points: F64, places: F32, normals: F32, tangent: F64, z0: F64) -> F64:
     """Return the speed straight ahead at which most walls match; the rings on level ground match at any."""
     best, most = np.eye(4), -1
     some = np.ascontiguousarray(points[::2])
     for speed in _SPEEDS:
         pose = np.eye(4)
         pose[0, 3] = speed
-        upright = _match(some, pose, planes, normals, tangent, z0, _REACH[1])[3]
+        upright = _match(some, pose, places, normals, tangent, z0, _REACH[1])[3]
         if upright > most:
             best, most = pose, upright
     return best

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS
+from salpcc.schemas.labels import GROUP_OF_CLASS
 from salpcc.stages.segment.back_projection import classes_of_points
-from salpcc.stages.segment.class_shares import as_in_streets
+from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.network import N_CLASSES
+from salpcc.stages.segment.probabilities import group_probabilities
 from salpcc.stages.segment.quantised import LabellingNetwork
 from salpcc.stages.segment.range_image import RangeImage, project
 
@@ -60,45 +60,15 @@ def class_scores(network: LabellingNetwork, points: F32, intensity: F32) -> tupl
         return image, network.logits(image.planes)
 
 
-def by_group(image: RangeImage, scores: F32) -> Segmentation:
-    """Sum the probabilities of an image's classes, given as logits ``(64, W, 19)``, up to groups."""
-    with torch.inference_mode(), _one_thread():
-        probabilities = torch.softmax(torch.from_numpy(scores), 2).numpy()
-    return Segmentation(image, *_sums(probabilities, image.index, GROUP_OF_CLASS))
-
-
-@njit(cache=True)
-def _sums(
-    probabilities: F32, index: NDArray[np.int32], group_of: NDArray[np.uint8]
-) -> tuple[F32, NDArray[np.uint8]]:
-    rows, columns, classes = probabilities.shape
-    sums = np.zeros((len(GROUPS), rows, columns), np.float32)
-    best = np.zeros((len(GROUPS), rows, columns), np.uint8)
-    total = np.empty(len(GROUPS), np.float32)
-    most = np.empty(len(GROUPS), np.float32)
-    for i in range(rows):
-        for j in range(columns):
-            if index[i, j] < 0:
-                continue
-            total[:] = 0.0
-            most[:] = -1.0
-            for k in range(classes):
-                p = probabilities[i, j, k]
-                group = group_of[k + 1]  # class 0 is never predicted
-                total[group] += p
-                if p > most[group]:
-                    most[group] = p
-                    best[group, i, j] = k + 1
-            for group in range(len(GROUPS)):
-                # Rounded, so that the last bits of a processor's arithmetic decide nothing.
-                sums[group, i, j] = np.rint(total[group] * 4096) / 4096
-    return sums, best
+def by_group(image: RangeImage, scores: F32, shift: F32) -> Segmentation:
+    """Sum the probabilities of an image's classes, given as logits ``(64, W, 19)`` to be shifted by ``(19,)``, up to groups."""
+    return Segmentation(image, *group_probabilities(scores, shift, image.index, GROUP_OF_CLASS))
 
 
 def segment_scan(network: LabellingNetwork, points: F32, intensity: F32) -> Segmentation:
     """Segment one scan, its classes weighed as they occur in streets."""
     image, scores = class_scores(network, points, intensity)
-    return by_group(image, as_in_streets(scores))
+    return by_group(image, scores, AS_IN_STREETS)
 
 
 def label_points(network: LabellingNetwork, points: F32, intensity: F32) -> NDArray[np.uint8]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.labels import GROUND, MOVABLE, OTHER
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.range_image import HEIGHT, RANGE, RangeImage, nearest_cone
+from salpcc.stages.segment.range_image import HEIGHT, nearest_cone
 from salpcc.stages.segment.segmenter import Segmentation
 
 F32 = NDArray[np.float32]
@@ -47,12 +47,6 @@ def pose_between(steps: Sequence[F64 | None], start: int, end: int) -> F64 | Non
     return pose
 
 
-def _places(image: RangeImage) -> F32:
-    """Return x, y, z, range of each pixel ``(H, W, 4)``; where there is no return it is infinitely far."""
-    places = np.where(image.index >= 0, image.planes[: RANGE + 1], np.float32(np.inf))
-    return np.ascontiguousarray(places.transpose(1, 2, 0))
-
-
 @njit(cache=True)
 def _ask(
     points: F64,
@@ -68,7 +62,7 @@ def _ask(
     """Add a neighbour's word on each point ``(N, 3)`` to ``total`` ``(N, G + 1)``, its last column being the weight,
     and note whether it saw through the point's place.
 
-    ``pose`` carries points into the neighbour's frame; it has :func:`_places` and ``groups`` ``(H, W, G)``.
+    ``pose`` carries points into the neighbour's frame; it has ``places`` ``(H, W, 4)`` and ``groups`` ``(H, W, G)``.
     """
     rows, columns, count = groups.shape
     row = 0
@@ -119,7 +113,7 @@ def agree(
     """
     sensor = load_sensor("hdl64e")
     tangent = np.tan(sensor.theta)
-    places = [_places(one.image) for one in found]
+    places = [one.image.places for one in found]
     said = [np.ascontiguousarray(one.groups.transpose(1, 2, 0)) for one in found]
     settled = []
     for here, own in enumerate(found):
