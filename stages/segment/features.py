@@ -53,15 +53,21 @@ def _beside(column: int, step: int, columns: int, circular: bool) -> tuple[int, 
     return left, right
 
 
-@njit(cache=True)
 def pixel_features(planes: F32, circular: bool) -> F32:
     """Return features ``(19, H, W)`` float32 of range-image planes ``(6, H, W)``; 0 where there is no return.
+
+    Those of a pixel lie together in memory.
 
     Args:
         circular: whether the last column is the first one's neighbour (whole turns, not crops).
     """
+    return _features(planes, circular).transpose(2, 0, 1)
+
+
+@njit(cache=True)
+def _features(planes: F32, circular: bool) -> F32:
     _, rows, columns = planes.shape
-    out = np.zeros((CHANNELS, rows, columns), np.float32)
+    out = np.zeros((rows, columns, CHANNELS), np.float32)
     across = np.zeros(3)
     upward = np.zeros(3)
     for i in range(rows):
@@ -73,8 +79,8 @@ def pixel_features(planes: F32, circular: bool) -> F32:
                 continue
             one_left, one_right = _beside(j, 1, columns, circular)
             left, right = _beside(j, _REACH, columns, circular)
-            out[0, i, j] = np.log(r) / 3.0
-            out[1, i, j] = 4.0 / (r + 2.0)
+            out[i, j, 0] = np.log(r) / 3.0
+            out[i, j, 1] = 4.0 / (r + 2.0)
             beside = (
                 planes[3, i, one_left],
                 planes[3, i, one_right],
@@ -82,16 +88,16 @@ def pixel_features(planes: F32, circular: bool) -> F32:
                 planes[3, below, j],
             )
             for k in range(4):
-                out[2 + k, i, j] = _soft(beside[k] - r) if beside[k] > 0 else 0.0
-            out[6, i, j] = 1.0
+                out[i, j, 2 + k] = _soft(beside[k] - r) if beside[k] > 0 else 0.0
+            out[i, j, 6] = 1.0
 
             x, y, z = planes[0, i, j], planes[1, i, j], planes[2, i, j]
-            out[7, i, j] = x / 25.0
-            out[8, i, j] = y / 25.0
-            out[9, i, j] = z / 3.0
+            out[i, j, 7] = x / 25.0
+            out[i, j, 8] = y / 25.0
+            out[i, j, 9] = z / 3.0
             height = planes[5, i, j]
-            out[10, i, j] = min(max(height, -2.0), 6.0) / 2.0
-            out[11, i, j] = _soft(height)
+            out[i, j, 10] = min(max(height, -2.0), 6.0) / 2.0
+            out[i, j, 11] = _soft(height)
             if _difference(planes, i, left, i, i, right, j, across) and _difference(
                 planes, i, j, below, above, j, j, upward
             ):
@@ -103,14 +109,14 @@ def pixel_features(planes: F32, circular: bool) -> F32:
                     if nx * x + ny * y + nz * z > 0:  # towards the sensor
                         norm = -norm
                     rho = np.sqrt(x * x + y * y) + 1e-6
-                    out[12, i, j] = (nx * x + ny * y) / (norm * rho)
-                    out[13, i, j] = (ny * x - nx * y) / (norm * rho)
-                    out[14, i, j] = nz / norm
-            out[15, i, j] = 1.0 if out[12, i, j] != 0 or out[14, i, j] != 0 else 0.0
+                    out[i, j, 12] = (nx * x + ny * y) / (norm * rho)
+                    out[i, j, 13] = (ny * x - nx * y) / (norm * rho)
+                    out[i, j, 14] = nz / norm
+            out[i, j, 15] = 1.0 if out[i, j, 12] != 0 or out[i, j, 14] != 0 else 0.0
 
             intensity = planes[4, i, j]
-            out[16, i, j] = 2.0 * intensity
-            out[17, i, j] = np.sqrt(intensity)
+            out[i, j, 16] = 2.0 * intensity
+            out[i, j, 17] = np.sqrt(intensity)
             total = 0.0
             seen = 0
             for a in range(above, below + 1):
@@ -118,5 +124,5 @@ def pixel_features(planes: F32, circular: bool) -> F32:
                     if planes[3, a, b] > 0 and abs(planes[3, a, b] - r) < 0.5:
                         total += planes[4, a, b]
                         seen += 1
-            out[18, i, j] = 2.0 * total / seen
+            out[i, j, 18] = 2.0 * total / seen
     return out

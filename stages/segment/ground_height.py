@@ -19,11 +19,13 @@ _LOWEST = -8.0  # metres; lower returns are reflections in wet or polished groun
 
 
 @njit(cache=True)
-def _cell_minima(points: F32, side: int, cell: float, floor: float) -> NDArray[np.float32]:
+def _cell_minima(
+    points: F32, seen: NDArray[np.bool_], side: int, cell: float, floor: float
+) -> NDArray[np.float32]:
     lowest = np.full((side, side), np.inf, np.float32)
     for i in range(len(points)):
         z = points[i, 2]
-        if z < floor:
+        if not seen[i] or z < floor:
             continue
         a = int(np.floor(points[i, 0] / cell)) + side // 2
         b = int(np.floor(points[i, 1] / cell)) + side // 2
@@ -33,26 +35,28 @@ def _cell_minima(points: F32, side: int, cell: float, floor: float) -> NDArray[n
 
 
 @njit(cache=True)
-def _above(points: F32, ground: NDArray[np.float32], cell: float) -> NDArray[np.float32]:
-    """Height of each point above the bilinear surface through the centres of the cells."""
+def put_heights(height: F32, points: F32, index: NDArray[np.int32], ground: F32) -> None:
+    """Write into ``height`` ``(H, W)`` how far the points ``index`` ``(H, W)`` are above the bilinear ``ground``; -1 are none."""
     side = len(ground)
-    height = np.empty(len(points), np.float32)
-    for i in range(len(points)):
-        u = min(max(points[i, 0] / cell + side / 2 - 0.5, 0.0), side - 1.001)
-        v = min(max(points[i, 1] / cell + side / 2 - 0.5, 0.0), side - 1.001)
-        a = int(u)
-        b = int(v)
-        s = u - a
-        t = v - b
-        near = ground[a, b] * (1 - t) + ground[a, b + 1] * t
-        far = ground[a + 1, b] * (1 - t) + ground[a + 1, b + 1] * t
-        height[i] = points[i, 2] - (near * (1 - s) + far * s)
-    return height
+    for row in range(index.shape[0]):
+        for column in range(index.shape[1]):
+            i = index[row, column]
+            if i < 0:
+                continue
+            u = min(max(points[i, 0] / CELL + side / 2 - 0.5, 0.0), side - 1.001)
+            v = min(max(points[i, 1] / CELL + side / 2 - 0.5, 0.0), side - 1.001)
+            a = int(u)
+            b = int(v)
+            s = u - a
+            t = v - b
+            near = ground[a, b] * (1 - t) + ground[a, b + 1] * t
+            far = ground[a + 1, b] * (1 - t) + ground[a + 1, b + 1] * t
+            height[row, column] = points[i, 2] - (near * (1 - s) + far * s)
 
 
-def ground_surface(points: F32) -> NDArray[np.float32]:
-    """Return the height of the ground ``(128, 128)`` in cells of 1 m around the sensor, from points ``(N, 3)``."""
-    lowest = _cell_minima(points, SIDE, CELL, _LOWEST)
+def ground_surface(points: F32, seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the height of the ground ``(128, 128)`` in cells of 1 m around the sensor, from the ``seen`` of points ``(N, 3)``."""
+    lowest = _cell_minima(points, seen, SIDE, CELL, _LOWEST)
     if not np.isfinite(lowest).any():
         return np.zeros_like(lowest)
     eroded = minimum_filter(lowest, _OPENING, mode="nearest")
@@ -62,8 +66,3 @@ def ground_surface(points: F32) -> NDArray[np.float32]:
         nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
         opened = opened[tuple(nearest)]
     return gaussian_filter(opened, 1.0, mode="nearest")
-
-
-def height_above_ground(cloud: F32, points: F32) -> NDArray[np.float32]:
-    """Return the height ``(M,)`` in metres of ``points`` ``(M, 3)`` above the ground of ``cloud`` ``(N, 3)``."""
-    return _above(np.ascontiguousarray(points), ground_surface(cloud), CELL)

@@ -265,8 +265,8 @@ class QuantisedNetwork:
         """Return logits ``(H, W, 19)`` of planes ``(6, H, W)`` of a whole turn, which has a return."""
         fold, side = self.config.fold, SEAM // self.config.fold
         _, height, width = planes.shape
-        features = to_bytes(pixel_features(planes, circular=True), self.features, _ZERO, SEAM)
-        parts = np.split(features, np.cumsum([DEPTH, COORDINATES]), 2)
+        features = pixel_features(planes, circular=True).transpose(1, 2, 0)
+        parts = np.split(to_bytes(features, self.features, _ZERO, SEAM), np.cumsum([DEPTH, COORDINATES]), 2)
         images = [
             block(_image(part.reshape(height, -1, part.shape[-1] * fold)))
             for block, part in zip(self.modalities, parts, strict=True)

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
-from salpcc.stages.segment.ground_height import height_above_ground
+from salpcc.stages.segment.ground_height import ground_surface, put_heights
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -140,6 +140,5 @@ def project(
         azimuth = np.arctan2(points[:, 1], points[:, 0])
     row, column, distance, index = _pixels(points, azimuth, np.tan(cones.theta), cones.z0, columns)
     planes = _shown(points, np.asarray(intensity, np.float32), distance, index)
-    seen = index >= 0
-    planes[HEIGHT, seen] = height_above_ground(points[row >= 0], points[index[seen]])
+    put_heights(planes[HEIGHT], points, index, ground_surface(points, row >= 0))
     return RangeImage(planes, index, row, column, distance)

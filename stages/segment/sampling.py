@@ -23,6 +23,7 @@ GROUP = 16  # points that are pooled into one of the next level
 SHRINK = 4  # points of one level per point of the next
 LEVELS = 3
 _BUCKET = 64  # points that farthest point sampling skips together
+_BATCH = 32  # buckets whose distances are told at once
 _FLOOR = 0.05  # metres added to distances, so that weights stay finite
 
 
@@ -64,47 +65,66 @@ def _farthest(points: F32, place: I64, count: int) -> NDArray[np.int64]:
     an older one. Rounding is monotonic, so the bound holds for the numbers computed, and the sample is the plain one's.
     """
     n = len(points)
-    buckets = (n + _BUCKET - 1) // _BUCKET
-    low = np.empty((buckets, 3), np.float32)
-    high = np.empty((buckets, 3), np.float32)
-    for b in range(buckets):
+    rows = (n + _BUCKET - 1) // _BUCKET
+    buckets = (rows + _BATCH - 1) // _BATCH * _BATCH  # those beyond are empty
+    low = np.full((3, buckets), np.float32(np.inf))
+    high = np.full((3, buckets), np.float32(-np.inf))
+    for b in range(rows):
         for axis in range(3):
-            low[b, axis] = points[b * _BUCKET : (b + 1) * _BUCKET, axis].min()
-            high[b, axis] = points[b * _BUCKET : (b + 1) * _BUCKET, axis].max()
+            low[axis, b] = points[b * _BUCKET : (b + 1) * _BUCKET, axis].min()
+            high[axis, b] = points[b * _BUCKET : (b + 1) * _BUCKET, axis].max()
     distance = np.full(n, np.float32(np.inf))
-    reach = np.full(buckets, np.float32(np.inf))  # the largest distance in each bucket
+    reach = np.full(buckets, np.float32(-1.0))  # the largest distance in each bucket
+    reach[:rows] = np.inf
     which = np.zeros(buckets, np.int64)  # the point that has it, of the lowest place
+    first = np.zeros(buckets // _BATCH, np.int64)  # the bucket that has the largest of each batch
+    away = np.empty(_BATCH, np.float32)
     chosen = np.zeros(count, np.int64)
     last = int(np.argmin(place))
     zero = np.float32(0.0)
     for k in range(1, count):
         px, py, pz = points[last, 0], points[last, 1], points[last, 2]
-        for b in range(buckets):
-            dx = max(low[b, 0] - px, px - high[b, 0], zero)
-            dy = max(low[b, 1] - py, py - high[b, 1], zero)
-            dz = max(low[b, 2] - pz, pz - high[b, 2], zero)
-            if dx * dx + dy * dy + dz * dz >= reach[b]:
-                continue
-            best = np.float32(-1.0)
-            at = 0
-            for i in range(b * _BUCKET, min((b + 1) * _BUCKET, n)):
-                dx = points[i, 0] - px
-                dy = points[i, 1] - py
-                dz = points[i, 2] - pz
-                d = min(distance[i], dx * dx + dy * dy + dz * dz)
-                distance[i] = d
-                if d > best or (d == best and place[i] < place[at]):
-                    best = d
-                    at = i
-            reach[b] = best
-            which[b] = at
-        top = 0
-        for b in range(1, buckets):
-            if reach[b] > reach[top] or (reach[b] == reach[top] and place[which[b]] < place[which[top]]):
-                top = b
+        for batch in range(len(first)):
+            start = batch * _BATCH
+            for i in range(_BATCH):
+                dx = max(low[0, start + i] - px, px - high[0, start + i], zero)
+                dy = max(low[1, start + i] - py, py - high[1, start + i], zero)
+                dz = max(low[2, start + i] - pz, pz - high[2, start + i], zero)
+                away[i] = dx * dx + dy * dy + dz * dz
+            touched = False
+            for b in range(start, start + _BATCH):
+                if away[b - start] >= reach[b]:
+                    continue
+                touched = True
+                best = np.float32(-1.0)
+                at = 0
+                for i in range(b * _BUCKET, min((b + 1) * _BUCKET, n)):
+                    dx = points[i, 0] - px
+                    dy = points[i, 1] - py
+                    dz = points[i, 2] - pz
+                    d = min(distance[i], dx * dx + dy * dy + dz * dz)
+                    distance[i] = d
+                    if d > best or (d == best and place[i] < place[at]):
+                        best = d
+                        at = i
+                reach[b] = best
+                which[b] = at
+            if touched:
+                first[batch] = _first(reach, which, place, np.arange(start, start + _BATCH))
+        top = _first(reach, which, place, first)
         last = which[top]
         chosen[k] = place[last]
     return chosen
+
+
+@njit(cache=True)
+def _first(reach: F32, which: I64, place: I64, buckets: I64) -> int:
+    """Return which of some ``buckets`` reaches farthest, by a point of the lowest place."""
+    top = buckets[0]
+    for b in buckets[1:]:
+        if reach[b] > reach[top] or (reach[b] == reach[top] and place[which[b]] < place[which[top]]):
+            top = b
+    return top
 
 
 def interpolate(points: F32, queries: F32) -> tuple[I64, F32]:

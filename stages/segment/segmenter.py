@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.labels import GROUP_OF_CLASS
@@ -40,11 +41,25 @@ class Segmentation:
 
         A car torn between two kinds of vehicle is movable all the same.
         """
-        return np.take_along_axis(self.best, self.groups.argmax(axis=0)[None], axis=0)[0]
+        return _best_of_most(self.groups, self.best)
 
     def labels(self) -> NDArray[np.uint8]:
         """Class ``(N,)`` uint8 of every point of the scan, hidden ones too."""
         return classes_of_points(self.image, self.classes())
+
+
+@njit(cache=True)
+def _best_of_most(groups: F32, best: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    count, rows, columns = groups.shape
+    out = np.empty((rows, columns), np.uint8)
+    for i in range(rows):
+        for j in range(columns):
+            most = 0
+            for group in range(1, count):
+                if groups[group, i, j] > groups[most, i, j]:
+                    most = group
+            out[i, j] = best[most, i, j]
+    return out
 
 
 def class_scores(network: LabellingNetwork, points: F32, intensity: F32) -> tuple[RangeImage, F32]:
