@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import decode_interval, decode_target, encode_interval
+from salpcc.stages.entropy.range_coder import decode_interval, encode_interval
 from salpcc.stages.entropy.walks import Buffer, State
 
 _REACH = 12.0
@@ -60,10 +60,10 @@ def _ln(x: float) -> float:
 _LOGISTIC = np.array(
     [1.0 / (1.0 + _exp(_REACH - k / _PER_UNIT)) for k in range(int(2 * _REACH * _PER_UNIT) + 2)]
 )
-_ODDS = np.array([_ln((k + 0.5) / (_STEPS - k - 0.5)) for k in range(_STEPS)])
+ODDS = np.array([_ln((k + 0.5) / (_STEPS - k - 0.5)) for k in range(_STEPS)])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def logistic(x: float) -> float:
     """Logistic function, interpolated in its table; flat beyond 12."""
     z = (min(max(x, -_REACH), _REACH) + _REACH) * _PER_UNIT
@@ -71,18 +71,18 @@ def logistic(x: float) -> float:
     return _LOGISTIC[k] + (z - k) * (_LOGISTIC[k + 1] - _LOGISTIC[k])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def odds(p: float) -> float:
     """Logarithm of the odds of a probability, in 4096 steps; inverse of :func:`logistic`."""
-    return _ODDS[min(max(int(p * _STEPS), 0), _STEPS - 1)]
+    return ODDS[min(max(int(p * _STEPS), 0), _STEPS - 1)]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def code_given_bit(writing: bool, state: State, buffer: Buffer, p: float, bit: int) -> int:
     """Code one bit whose probability of being 1 is given."""
     zero = (1 << _BITS) - min(max(int(p * (1 << _BITS)), 8), (1 << _BITS) - 8)
     if not writing:
-        bit = 1 if decode_target(state, _BITS) >= zero else 0
+        bit = 1 if state[0] >= (state[1] >> _BITS) * zero else 0
     low, width = (zero, (1 << _BITS) - zero) if bit == 1 else (0, zero)
     if writing:
         encode_interval(state, buffer, low, width, _BITS)
@@ -91,7 +91,7 @@ def code_given_bit(writing: bool, state: State, buffer: Buffer, p: float, bit: i
     return bit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def code_learned_bit(
     writing: bool,
     state: State,
@@ -116,7 +116,7 @@ def code_learned_bit(
     total = 0.0
     for i in range(n):
         if i >= given:
-            opinions[i] = _ODDS[chances[places[i - given]] >> 4]
+            opinions[i] = ODDS[chances[places[i - given]] >> 4]
         total += opinions[i] * weights[i]
     p = min(max(logistic(total), _LEAST), 1.0 - _LEAST)
     bit = code_given_bit(writing, state, buffer, p, bit)

@@ -29,7 +29,7 @@ from salpcc.stages.residual_code.stream import Payload
 
 def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "default") -> list[Payload]:
     """Encode the sweeps of one GOP, predictions included."""
-    state = GopState(sensor)
+    state = GopState(sensor, effort != "fast")
     group = list(sweeps)
     predictions = predict_sweeps(group, sensor, effort)
     return [encode_scan(s, sensor, p, state) for s, p in zip(group, predictions, strict=True)]
@@ -48,7 +48,7 @@ def encode_movable(
     layers: list[tuple[Sweep, Sweep]], sensor: SensorModel, effort: str = "default"
 ) -> list[Payload]:
     """Encode the movable layers of one GOP, each with its static one at hand."""
-    state = GopState(sensor)
+    state = GopState(sensor, effort != "fast")
     predictions = predict_sweeps((movable for _, movable in layers), sensor, effort)
     return [
         encode_scan(movable, sensor, predicted, state, static)

@@ -31,7 +31,7 @@ from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import encode_scan
 from salpcc.stages.residual_code.stream import Payload
 
-VERSION = 10
+VERSION = 11
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
@@ -94,7 +94,8 @@ _Coded = tuple[Sweep | GridSweep, Payload, tuple[Sweep, Payload] | None, dict[st
 
 def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
     sensor = load_sensor(config.sensor)
-    state, layer_state = GopState(sensor), GopState(sensor)
+    learns = config.effort != "fast"
+    state, layer_state = GopState(sensor, learns), GopState(sensor, learns)
     sweeps = table_to_sweeps(task)
     movable: Sequence[Sweep | None] = table_to_movable(task) or [None] * len(sweeps)
     guessed: Sequence[Prediction | None] = table_to_movable_predictions(prediction) or [None] * len(sweeps)

@@ -14,8 +14,11 @@ The decoder repeats all of this, hence only ``+ - * /`` and square roots on floa
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.lattice.lattice import place_point
@@ -31,13 +34,65 @@ from salpcc.stages.strays.aimed_symbols import (
     code_kind,
     code_laser,
 )
+from salpcc.stages.strays.learned_counts import code_count
+from salpcc.stages.strays.learned_order import code_candidate, code_tick, learn_order
 from salpcc.stages.strays.ray_forms import bucket_of, coordinate_of, whole_of
 
 MAX_LEVEL = (1 << 20) - 1
 NAN_BITS = 0x7FC00000
 
 
-@njit(cache=True, error_model="numpy")
+class Room(NamedTuple):
+    """What a walk over ``S`` points knows of those behind it.
+
+    Attributes:
+        slot_laser, relative, slot_size: of each slot its laser (-1: none), its tick from the firing's, the size of the last miss of it.
+        hop: ticks from a point of one laser to the next of another ``(L, L)``; 1 << 30: unknown.
+        links: of the same laser, point before, point after ``(S, 2)``; ``ends``: of each laser, first and last point so far ``(L, 2)``;
+            ``cursor``: where the neighbours above and below were last found ``(L, 2)``.
+        azimuth, inverse: ticks, 1/d ``(S,)``; ``beside``: guesses from above and below, as they were ``(S, 2)``.
+        errors: of guesses ``(S, PREDICTORS)``; ``sizes``: of misses of the count and the corrections ``(S, 4)``; ``guess``: of one point.
+        drift: of each laser, and of what is no return, last misfit in metres ``(L + 1, 3)``.
+    """
+
+    slot_laser: NDArray[np.int64]
+    relative: NDArray[np.int64]
+    slot_size: NDArray[np.int64]
+    hop: NDArray[np.int64]
+    links: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    cursor: NDArray[np.int64]
+    azimuth: NDArray[np.float64]
+    inverse: NDArray[np.float64]
+    beside: NDArray[np.float64]
+    errors: NDArray[np.uint16]
+    sizes: NDArray[np.uint8]
+    guess: NDArray[np.float64]
+    drift: NDArray[np.float64]
+
+
+def new_room(n: int, left: int, lasers: int) -> Room:
+    """Return what is known before the first of ``n`` points."""
+    slots = left if left > 0 else lasers
+    return Room(
+        np.full(slots, -1),
+        np.zeros(slots, np.int64),
+        np.zeros(slots, np.int64),
+        np.full((lasers, lasers), 1 << 30),
+        np.full((n, 2), -1),
+        np.full((lasers, 2), -1),
+        np.full((lasers, 2), -1),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros((n, 2)),
+        np.zeros((n, PREDICTORS), np.uint16),
+        np.zeros((n, 4), np.uint8),
+        np.zeros(PREDICTORS),
+        np.zeros((lasers + 1, 3)),
+    )
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
 def code_aimed(  # type: ignore[no-untyped-def]
     writing,
     points,
@@ -55,6 +110,8 @@ def code_aimed(  # type: ignore[no-untyped-def]
     sensor,
     motion,
     models,
+    room,
+    learned,
     state,
     data,
 ):
@@ -68,27 +125,33 @@ def code_aimed(  # type: ignore[no-untyped-def]
             is written is no stream.
         sensor: parameters, constants, tables of sines and cosines, count, phase of each laser in ticks, neighbours above and below,
             driver (:data:`~salpcc.stages.lattice.drivers.NO_DRIVER`: none).
+        room: of :func:`new_room`.
+        learned: models and what they see, of efforts above ``fast``, or None: then lasers, ticks and counts are coded in the two contexts of each.
         motion: whether there is one, its six numbers, s of each point ``(S,)``, and whether what it leaves changes slowly.
     """
     parameters, constants, sines, cosines, count_size, phase, above, below, driver = sensor
     moving, m, place_of, drifting = motion
     of_kind, of_laser, of_tick, of_pace, of_spread, of_level, of_fix, of_reach = models
     n, ticks, lasers = len(points), len(sines), len(parameters)
-    slots = max(left, 1) if left > 0 else lasers
-    slot_laser, relative = np.full(slots, -1), np.zeros(slots, np.int64)
-    slot_size = np.zeros(slots, np.int64)  # of the last miss of the tick
-    hop = np.full((lasers, lasers), 1 << 30)
+    (
+        slot_laser,
+        relative,
+        slot_size,
+        hop,
+        links,
+        ends,
+        cursor,
+        azimuth,
+        inverse,
+        beside,
+        errors,
+        sizes,
+        guess,
+        drift,
+    ) = room
+    slots = len(slot_laser)
     base, base_cycle, pace, miss = 0, -1, 0, 0  # of firings: tick, number, ticks from one to the next
-    recent = -1
-    links = np.full((n, 2), -1)  # of the same laser: point before, point after
-    ends = np.full((lasers, 2), -1)  # of each laser: first and last point so far
-    cursor = np.full((lasers, 2), -1)
-    inverse, azimuth = np.zeros(n), np.zeros(n)
-    beside = np.zeros((n, 2))  # guesses from above and below, as they were
-    errors = np.zeros((n, PREDICTORS), np.uint16)
-    sizes = np.zeros((n, 4), np.uint8)
-    guess = np.zeros(PREDICTORS)
-    drift = np.zeros((lasers + 1, 3))  # of each laser, and of what is no return: last misfit, metres
+    recent, earlier_one = -1, -1
     for i in range(n):
         kind = code_kind(writing, state, data, of_kind, kinds, i, left, up)
         kinds[i] = kind
@@ -108,7 +171,14 @@ def code_aimed(  # type: ignore[no-untyped-def]
             slot = i % slots if left > 0 else -1
             known = left > 0 and slot_laser[slot] >= 0
             before = slot_laser[slot] if known else (np.int64(laser[recent]) if recent >= 0 else 0)
-            k = code_laser(writing, state, data, of_laser, known, before, np.int64(laser[i]))
+            k = -1
+            if learned is not None and left == 0:
+                earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
+                k = code_candidate(
+                    writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
+                )
+            if k < 0:
+                k = code_laser(writing, state, data, of_laser, known, before, np.int64(laser[i]))
             if k >= lasers:
                 state[3] = 1
                 return
@@ -141,10 +211,17 @@ def code_aimed(  # type: ignore[no-untyped-def]
                     tick[i] = expected % ticks
             off = (tick[i] - expected) % ticks
             off = off - ticks if off > ticks // 2 else off
-            off = code_number(
-                writing, state, data, of_tick, slot_size[slot] * CLASSES + miss,
-                of_pace, how * CLASSES + miss, off,
-            )  # fmt: skip
+            if learned is not None and left == 0:
+                learn_order(learned.order, learned.heard, i, before, k)
+                off = code_tick(
+                    writing, state, data, learned.order, learned.heard, before, k,
+                    expected, how == 0, tick[recent] if recent >= 0 else 0, ticks, off,
+                )  # fmt: skip
+            else:
+                off = code_number(
+                    writing, state, data, of_tick, slot_size[slot] * CLASSES + miss,
+                    of_pace, how * CLASSES + miss, off,
+                )  # fmt: skip
             tick[i] = (expected + off) % ticks
             miss = min(size_of(abs(off)), CLASSES - 1)
             slot_size[slot] = miss
@@ -174,16 +251,23 @@ def code_aimed(  # type: ignore[no-untyped-def]
             unit = count_size * step
             d0 = parameters[k, 4]
             middle = 0.5 * (step - 1)
-            foretold = np.int64(
-                np.rint(min(max(((r - d0) / count_size - middle) / step, 0.0), float(MAX_LEVEL)))
-            )
-            size = np.int64(sizes[place, 0]) if place >= 0 else CLASSES - 1
-            number = code_number(
-                writing, state, data, of_spread, bucket_of(spread, unit),
-                of_level, min(bucket_of(apart, unit) // 2, CLASSES - 1) * CLASSES + size, level[i] - foretold,
-            )  # fmt: skip
-            sizes[i, 0] = (size_of(abs(number)) + 1) // 2
-            level[i] = min(max(foretold + number, 0), MAX_LEVEL)
+            if learned is not None:
+                scale = d0, unit, middle / step
+                level[i] = code_count(
+                    writing, state, data, learned.counts, learned.counted, i, k, (place, upper, lower), (r, spread, apart), scale,
+                    ticks, azimuth, inverse, errors, guess, MAX_LEVEL, level[i],
+                )  # fmt: skip
+            else:
+                foretold = np.int64(
+                    np.rint(min(max(((r - d0) / count_size - middle) / step, 0.0), float(MAX_LEVEL)))
+                )
+                size = np.int64(sizes[place, 0]) if place >= 0 else CLASSES - 1
+                number = code_number(
+                    writing, state, data, of_spread, bucket_of(spread, unit),
+                    of_level, min(bucket_of(apart, unit) // 2, CLASSES - 1) * CLASSES + size, level[i] - foretold,
+                )  # fmt: skip
+                sizes[i, 0] = (size_of(abs(number)) + 1) // 2
+                level[i] = min(max(foretold + number, 0), MAX_LEVEL)
             count = level[i] * step + middle
             x, y, z = place_point(
                 driver, tick[i], count, k, parameters, constants, count_size, sines, cosines
@@ -215,4 +299,4 @@ def code_aimed(  # type: ignore[no-untyped-def]
         else:
             points[i, 0], points[i, 1], points[i, 2] = x, y, z
         if kind == AIMED:
-            recent = i
+            earlier_one, recent = recent, i

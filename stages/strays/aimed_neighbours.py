@@ -35,6 +35,26 @@ def _apart(a: float, b: float, ticks: int) -> float:
     return off
 
 
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def nearest_of(here, other, cursor, k, side, ticks, azimuth, links, ends):  # type: ignore[no-untyped-def]
+    """Find the point of laser ``other``, which has some, nearest to azimuth ``here``, from where ``cursor[k, side]`` was; and how far off it is."""
+    at = cursor[k, side]
+    if at < 0:
+        first, last = ends[other, 0], ends[other, 1]
+        near = abs(_apart(here, azimuth[first], ticks)) < abs(_apart(here, azimuth[last], ticks))
+        at = first if near else last
+    off = _apart(here, azimuth[at], ticks)
+    for way in (1, 0):
+        for _ in range(_STEPS):
+            step = links[at, way]
+            nearer = _apart(here, azimuth[step], ticks)
+            if not abs(nearer) < abs(off):
+                break
+            at, off = step, nearer
+    cursor[k, side] = at
+    return at, off
+
+
 @njit(cache=True, error_model="numpy", _nrt=False)
 def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cursor, beside):  # type: ignore[no-untyped-def]
     """Find the point of laser ``other`` (-1: none) nearest in azimuth to point i of laser k; -1 where it has none yet.
@@ -44,20 +64,7 @@ def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cur
     beside[i, side] = 0.0
     if other < 0 or ends[other, 1] < 0:
         return -1
-    at = cursor[k, side]
-    if at < 0:
-        first, last = ends[other, 0], ends[other, 1]
-        near = abs(_apart(azimuth[i], azimuth[first], ticks)) < abs(_apart(azimuth[i], azimuth[last], ticks))
-        at = first if near else last
-    off = _apart(azimuth[i], azimuth[at], ticks)
-    for way in (1, 0):
-        for _ in range(_STEPS):
-            step = links[at, way]
-            nearer = _apart(azimuth[i], azimuth[step], ticks)
-            if not abs(nearer) < abs(off):
-                break
-            at, off = step, nearer
-    cursor[k, side] = at
+    at, off = nearest_of(azimuth[i], other, cursor, k, side, ticks, azimuth, links, ends)
     value = inverse[at]
     for way in (1, 0):
         beyond = _apart(azimuth[i], azimuth[links[at, way]], ticks)

@@ -1,6 +1,6 @@
 """Strays on the lattice of the archive's sensor model, and those off it on rays as ever: form AIMED of :mod:`.stray_coder`.
 
-Body: form of the corrections (uint8, ALONG: none), counts per level, points off the lattice, bytes of the walk (uint32 each); the walk
+Body: form of the corrections (ALONG: none) and 16 times the number of what was learned (:mod:`.learned`; 0: nothing) in a uint8, counts per level, points off the lattice, bytes of the walk (uint32 each); the walk
 of :mod:`.aimed_coder`; the stream of :mod:`.stray_coder` of the points off the lattice, if there are any.
 """
 
@@ -26,6 +26,7 @@ from salpcc.stages.strays.aimed_stream import (
     write_aimed,
 )
 from salpcc.stages.strays.aimed_symbols import AIMED, OFF
+from salpcc.stages.strays.learned import Learned, LearnedLists
 from salpcc.stages.strays.list_layout import likely_layouts
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import ALONG, BITS
@@ -52,6 +53,7 @@ def choose(
     settled: bool,
     s: NDArray[np.float64] | None = None,
     like: Layout | None = None,
+    learned: Learned | None = None,
 ) -> tuple[Way, Aimed] | None:
     """Return how points ``(S, 3)`` are best put on the lattice, and there; None where too few of them lie on it.
 
@@ -60,6 +62,7 @@ def choose(
         settled: the points were put there before, and no bit may change.
         s: of each point ``(S,)``, where the motion is by time.
         like: the layout that is taken without a trial, where it is a likely one.
+        learned: of such points before, for efforts above ``fast``.
     """
     if not _FEWEST <= len(points) <= MOST_POINTS:
         return None
@@ -86,7 +89,7 @@ def choose(
         aimed = settle(aimed, points, sensor, way, max_error)
         if (aimed.kinds != OFF).mean() < _LEAST_SHARE:  # they would not be found there again
             return None
-    return way, aimed
+    return replace(way, learned=learned), aimed
 
 
 def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
@@ -110,7 +113,8 @@ def write_body(
     if written < 0:
         return None
     off = aimed.kinds == OFF
-    head = _BODY.pack(way.form, way.step, int(off.sum()), written)
+    number = 0 if way.learned is None else way.learned.number
+    head = _BODY.pack(way.form + (number << 4), way.step, int(off.sum()), written)
     return (
         head + out[:written].tobytes() + (write_rest(np.ascontiguousarray(points[off])) if off.any() else b"")
     )
@@ -126,6 +130,7 @@ def read_body(
     motion: Motion,
     read_rest: Callable[[int, Array], tuple[F32, bool]],
     s: NDArray[np.float64] | None = None,
+    lists: LearnedLists | None = None,
 ) -> tuple[F32, Array, bool]:
     """Inverse of :func:`write_body`: points ``(n, 3)``, their lasers ``(n,)`` (OFF_LASER off the lattice), and whether the data made sense."""
     nothing = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8), False
@@ -133,6 +138,7 @@ def read_body(
         return nothing
     form, step, off, length = _BODY.unpack(data[: _BODY.size].tobytes())
     end = _BODY.size + length
+    form, number = form & 15, form >> 4
     if form > BITS or not 1 <= step <= _LARGEST_STEP or off > n or end > len(data):
         return nothing
     if (
@@ -141,9 +147,14 @@ def read_body(
         or (motion is not None and s is None and layout[0] < 2)
     ):
         return nothing
+    if number and lists is None:
+        return nothing
     moved = None if motion is None else tuple(motion.tolist())
-    way = Way(layout, form, per, form != ALONG, step, moved, s)
+    learned = lists.of_number(number) if lists is not None and number else None
+    way = Way(layout, form, per, form != ALONG, step, moved, s, learned)
     aimed, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]))
+    if learned is not None:
+        learned.settle()
     points = aimed.points
     if not sound or int((aimed.kinds == OFF).sum()) != off:
         return nothing
@@ -155,6 +166,11 @@ def read_body(
 def lasers_of(aimed: Aimed) -> Array:
     """The lasers ``(S,)`` that a reader knows; OFF_LASER of points that are of none."""
     return np.where(aimed.kinds == AIMED, aimed.laser, OFF_LASER).astype(np.uint8)
+
+
+def number_of(body: bytes) -> int:
+    """The number of what a body that :func:`write_body` wrote goes on from; 0: of nothing."""
+    return body[0] >> 4
 
 
 def count_off(body: bytes) -> int:

@@ -16,8 +16,10 @@ from salpcc.stages.lattice.lattice import driven, laser_constants
 from salpcc.stages.lattice.list_motion import places, redo, undo
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, turn_tables
-from salpcc.stages.strays.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed
+from salpcc.stages.strays.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed, new_room
 from salpcc.stages.strays.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
+from salpcc.stages.strays.learned import Learned
+from salpcc.stages.strays.learned_counts import Turn
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import GRID
 
@@ -46,7 +48,8 @@ class Aimed:
 class Way:
     """How points are coded: the layout, form and units of corrections, counts per level, and the ``motion`` that moved them.
 
-    ``s``: of each point ``(S,)`` where times tell it; else it follows from the place in the list.
+    ``s``: of each point ``(S,)`` where times tell it; else it follows from the place in the list. ``learned``: of such lists before, for
+    efforts above ``fast``.
     """
 
     layout: Layout
@@ -56,6 +59,7 @@ class Way:
     step: int
     motion: tuple[float, ...] | None
     s: NDArray[np.float64] | None = None
+    learned: Learned | None = None
 
     def places(self, n: int) -> NDArray[np.float64]:
         """Return s of ``n`` points."""
@@ -169,9 +173,13 @@ def _code(
     motion = False, (0.0,) * 6, np.zeros(1), False
     if way.motion is not None:
         motion = True, way.motion, way.places(len(points)), way.s is None  # type: ignore[assignment]
+    room = new_room(len(points), way.layout[0], sensor.n_lasers)
+    learned = None
+    if way.learned is not None and reach == 0.0:
+        learned = way.learned.walk(Turn(room.azimuth, room.inverse, room.links, room.ends))
     code_aimed(
         writing, points, aimed.kinds, aimed.laser, aimed.tick, aimed.level, *way.layout, way.form, float(way.per), way.exact,
-        way.step, reach, _tables(sensor), motion, new_models(), state, data,
+        way.step, reach, _tables(sensor), motion, new_models(), room, learned, state, data,
     )  # fmt: skip
 
 

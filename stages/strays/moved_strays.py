@@ -17,6 +17,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import timed_places
 from salpcc.stages.strays.aimed_strays import MOST_POINTS, lasers_of, read_body, write_body
 from salpcc.stages.strays.aimed_stream import Aimed, Way
+from salpcc.stages.strays.learned import LearnedLists
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.timeline import I64, Timeline
 
@@ -54,6 +55,7 @@ def read_moved(
     data: Array,
     sensor: SensorModel,
     read_rest: Callable[[int, Array], tuple[F32, bool]],
+    lists: LearnedLists | None = None,
 ) -> tuple[F32, Timeline, bool]:
     """Inverse of :func:`write_moved`: points ``(n, 3)``, their lasers and times, and whether the data made sense."""
     nothing = np.zeros((n, 3), np.float32), Timeline(np.zeros(n, np.uint8), np.zeros(n, np.int64), 0), False
@@ -72,7 +74,7 @@ def read_moved(
     time = time + first
     s = timed_places(time, float(numbers[0]))
     body = np.ascontiguousarray(data[begin + _MOTION.size :])
-    points, laser, sound = read_body(n, layout, per, True, body, sensor, numbers[1:], read_rest, s)
+    points, laser, sound = read_body(n, layout, per, True, body, sensor, numbers[1:], read_rest, s, lists)
     return points, Timeline(laser, time, 0), sound
 
 

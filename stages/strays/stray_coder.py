@@ -19,10 +19,11 @@ from salpcc.stages.entropy.integers import decode_integers, encode_integers, int
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
-from salpcc.stages.strays.aimed_strays import Motion, choose, count_off, read_body, write_body
+from salpcc.stages.strays.aimed_strays import Motion, choose, count_off, number_of, read_body, write_body
 from salpcc.stages.strays.aimed_stream import Aimed, Way
 from salpcc.stages.strays.aimed_symbols import OFF
 from salpcc.stages.strays.fit_turning import Fitted
+from salpcc.stages.strays.learned import Learned, LearnedLists
 from salpcc.stages.strays.list_layout import find_layout
 from salpcc.stages.strays.moved_strays import body_of, read_moved, write_moved
 from salpcc.stages.strays.ray_coder import F32, Layout
@@ -99,6 +100,7 @@ def plan(
     times: NDArray[np.int64] | None = None,
     like: Layout | None = None,
     turning: Fitted | None = None,
+    learned: Learned | None = None,
 ) -> Plan:
     """Plan how to encode points ``(S, 3)``.
 
@@ -110,6 +112,7 @@ def plan(
         times: of each ``(S,)``, where they are told.
         like: the layout of the scan before, which exact points are taken to have, too, where it is a likely one.
         turning: of the scan before, which the search for rays begins with.
+        learned: of such points before, for efforts above ``fast``.
     """
     lanes = lanes if len(points) >= _FEWEST else None
     points = np.ascontiguousarray(points)
@@ -118,12 +121,12 @@ def plan(
     exact = settled and step == 0.0
     like = like if exact else None
     if sensor is not None and exact and times is not None:
-        moved = _moved_in_time(points, form, fix, per, sensor, lanes, times, like)
+        moved = _moved_in_time(points, form, fix, per, sensor, lanes, times, like, learned)
         if moved is not None:
             return moved
     chosen = None
     if sensor is not None:
-        chosen = choose(points, fix, per, max_error, sensor, motion, settled, like=like)
+        chosen = choose(points, fix, per, max_error, sensor, motion, settled, like=like, learned=learned)
     aimed = chosen and Plan(points, max_error, chosen[0].layout, fix, per, step, sensor, chosen, lanes)
     if aimed and (settled or aimed.share >= _NO_DOUBT):
         return aimed
@@ -145,13 +148,15 @@ def _moved_in_time(
     lanes: NDArray[np.uint8] | None,
     times: NDArray[np.int64],
     like: Layout | None,
+    learned: Learned | None,
 ) -> Plan | None:
     """Plan for points ``(S, 3)`` that a motion by time moved off the lattice; None where it is not found."""
     found = find_timed_motion(points, sensor, times, lanes) if len(points) >= _FEWEST else None
     if found is None:
         return None
     motion, reference = found
-    chosen = choose(points, fix, per, 0.0, sensor, motion, True, timed_places(times, reference), like)
+    s = timed_places(times, reference)
+    chosen = choose(points, fix, per, 0.0, sensor, motion, True, s, like, learned)
     moved = write_moved(chosen, points, sensor, times, reference, _rest) if chosen else None
     if chosen is None or moved is None:
         return None
@@ -227,10 +232,11 @@ def decode_strays(
     data: NDArray[np.uint8],
     sensor: SensorModel | None = None,
     motion: Motion = None,
+    lists: LearnedLists | None = None,
 ) -> tuple[NDArray[np.int64], F32, Timeline | None, bool]:
     """Inverse of :func:`encode_strays`: places, points, :attr:`Plan.told`, and whether the data made sense.
 
-    Sensor and motion are as for :func:`plan`.
+    Sensor and motion are as for :func:`plan`; ``lists``: what was learned of those before.
     """
     nothing = np.zeros(n, np.int64), np.zeros((n, 3), np.float32), None, n == 0
     if n == 0 or len(data) < _HEAD.size:
@@ -251,7 +257,7 @@ def decode_strays(
     elif form == MOVED:
         assert sensor is not None
         points, told, whole = read_moved(
-            n, (left, up), per, body, sensor, lambda m, d: decode_strays(m, 0.0, d)[1::2]
+            n, (left, up), per, body, sensor, lambda m, d: decode_strays(m, 0.0, d)[1::2], lists
         )
     elif form == AIMED:
         assert sensor is not None
@@ -264,10 +270,20 @@ def decode_strays(
             sensor,
             motion,
             lambda m, d: decode_strays(m, max_error, d)[1::2],
+            lists=lists,
         )
     else:
         points, whole = read_points(n, (left, up), form, per, step, body)
     return places, points, told, bool(sound and whole)
+
+
+def learned_number(data: bytes) -> int:
+    """The number of what a stream of strays goes on from (:mod:`.learned`); 0: of nothing."""
+    if len(data) == 0:
+        return 0
+    first, form = _HEAD.unpack_from(data)[:2]
+    body = data[_HEAD.size + first :]
+    return number_of(body if form == AIMED else body_of(body)) if form in (AIMED, MOVED) else 0
 
 
 def off_lattice(n: int, data: bytes) -> int:

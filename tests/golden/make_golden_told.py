@@ -1,4 +1,4 @@
-"""Write golden streams of strays whose lasers and times are told (schemas/ARCHIVE.md, 5.4.2 and 5.4.3).
+"""Write golden streams of strays whose lasers and times are told (schemas/ARCHIVE.md, 5.4.2 and 5.4.3), and of learned ones (5.4.4).
 
 Only their decoding is for ever the same: what they are fitted by is not the same on every machine.
 """
@@ -15,6 +15,8 @@ from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.timed_motion import timed_places
 from salpcc.stages.residual_code.message.blended_values import encode_blended
 from salpcc.stages.residual_code.message.field_coder import Points
+from salpcc.stages.residual_code.message.field_modes import FieldModes
+from salpcc.stages.strays.learned import LearnedLists
 from salpcc.stages.strays.stray_coder import encode_strays, plan
 
 TOLD = Path(__file__).parent / "told"
@@ -36,24 +38,54 @@ def turn() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return moved[seen], laser[seen].astype(np.uint8), time[seen]
 
 
+def standing(seed: int) -> np.ndarray:
+    """Points of a turn of a sensor that stands; a tenth is missing."""
+    sensor, rng = load_sensor(SENSOR), np.random.default_rng(seed)
+    laser = np.tile(np.arange(sensor.n_lasers), FIRINGS)
+    firing = np.repeat(np.arange(FIRINGS), sensor.n_lasers)
+    count = np.rint((9.0 + np.sin(firing / 7) + rng.normal(0, 0.01, len(laser))) / sensor.count)
+    points = driven(sensor, laser.astype(np.uint8), (firing * 600).astype(np.int32), count).astype(np.float32)
+    return np.ascontiguousarray(points[rng.random(len(laser)) < 0.9])
+
+
+def shine_of(points: np.ndarray) -> np.ndarray:
+    """Intensities that follow from distances, and noise."""
+    wall = 60.0 + 40.0 * np.sign(np.sin(9.0 * np.sqrt((points.astype(float) ** 2).sum(axis=1))))
+    return np.rint(wall + np.random.default_rng(1).normal(0, 2, len(wall))).astype(np.int64)
+
+
+def learned(scans: list[np.ndarray]) -> dict[str, bytes]:
+    """Streams and records of the scans of a group, with what was learned of those before."""
+    sensor, lists, modes, written = load_sensor(SENSOR), LearnedLists(), FieldModes(True), {}
+    for number, points in enumerate(scans):
+        found = plan(points, 0.0, sensor, learned=lists.of_topic("/a"))
+        written[f"learned_{number}"] = encode_strays(np.arange(len(points)), found)
+        lists.settle(1)
+        known = Points.of(points, 0, sensor)
+        written[f"values_{number}"] = modes.encode(("/a", "shine"), shine_of(points), known)
+    return written
+
+
 def main() -> None:
     points, laser, time = turn()
     sensor = load_sensor(SENSOR)
     halves = points.astype(np.float16).astype(np.float32)
-    wall = 60.0 + 40.0 * np.sign(np.sin(9.0 * np.sqrt((points.astype(float) ** 2).sum(axis=1))))
-    shine = np.rint(wall + np.random.default_rng(1).normal(0, 2, len(wall))).astype(np.int64)
+    shine = shine_of(points)
+    scans = [standing(seed) for seed in (2, 3)]
     around = Points.of(points, 0, sensor).around(1)
     assert around is not None
     streams = {
         "moved": encode_strays(np.arange(len(points)), plan(points, 0.0, sensor, lanes=laser, times=time)),
         "timed": encode_strays(np.arange(len(points)), plan(halves, 0.0, lanes=laser, times=time)),
         "blended": encode_blended(shine, around),
+        **learned(scans),
     }
     expected: dict[str, object] = {
         "n": len(points),
         "moved": [streams["moved"][4], zlib.crc32(points.tobytes())],
         "timed": [streams["timed"][4], zlib.crc32(halves.tobytes())],
         "blended": zlib.crc32(shine.tobytes()),
+        "learned": [[len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan))] for scan in scans],
         "time": zlib.crc32(time.astype("<i8").tobytes()),
     }
     for name, data in streams.items():

@@ -8,14 +8,20 @@ times their squared distance: one value more. Decoders repeat all of it: only ``
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
+from salpcc.stages.residual_code.message.learned_values import (
+    AROUND,
+    ValueWalk,
+    code_learned_value,
+)
 
-_AROUND = 7  # values looked at, the last by the guide
 _ALIKE = 0.008  # of the distance; what differs less counts alike
 _RATE = 0.004  # of learning
 _GUIDED = 2000.0  # what a value by the guide counts
@@ -30,7 +36,7 @@ F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _bucket(value: float) -> int:
     """Half octaves of a spread, from 1/4 up."""
     bucket, limit = 0, 0.25
@@ -40,20 +46,46 @@ def _bucket(value: float) -> int:
     return bucket
 
 
-@njit(cache=True)
-def _code(writing, state, data, values, void, ranges, width, laser, above, below, guide, models):  # type: ignore[no-untyped-def]
-    """Write or read values ``(N,)``; ``width`` of an organised cloud, or 0: by ``laser``, whose neighbours are ``above`` and ``below``; ``guide``: ``(N,)``, or empty."""
+class _Room(NamedTuple):
+    """What a walk over values ``(N,)`` knows of those behind it.
+
+    Attributes:
+        recent: of each laser, the last point and the one before ``(L, 2)``.
+        near, off, weight: what lies around a point, by how much its values are off their mean, and what that is worth ``(AROUND,)``.
+        lit, times, stray: of guides ``(KEYS,)`` value, how often, how far off.
+        missed: how far off values were ``(N,)``.
+    """
+
+    recent: I64
+    near: I64
+    off: F64
+    weight: F64
+    lit: F64
+    times: F64
+    stray: F64
+    missed: F64
+
+
+def _new_room(n: int, lasers: int) -> _Room:
+    of_keys = (np.zeros(_KEYS), np.zeros(_KEYS), np.zeros(_KEYS))
+    return _Room(
+        np.full((lasers, 2), -1),
+        np.full(AROUND, -1),
+        np.zeros(AROUND),
+        np.zeros(AROUND),
+        *of_keys,
+        np.zeros(n),
+    )
+
+
+@njit(cache=True, _nrt=False)
+def _code(  # type: ignore[no-untyped-def]
+    writing, state, data, values, void, ranges, width, laser, above, below, guide, models, room, learned
+):
+    """Write or read values ``(N,)``; ``width`` of an organised cloud, or 0: by ``laser``, whose neighbours are ``above`` and ``below``; ``guide``: ``(N,)``, or empty; ``learned``: of efforts above ``fast``, or None."""
     of_spread, of_value, of_void = models
     n = len(void)
-    recent = np.full((len(above), 2), -1)  # of each laser: the last point and the one before
-    near = np.full(_AROUND, -1)
-    lit, times, stray = (
-        np.zeros(_KEYS),
-        np.zeros(_KEYS),
-        np.zeros(_KEYS),
-    )  # of guides: value, how often, how far off
-    weight, off = np.zeros(_AROUND), np.zeros(_AROUND)
-    missed = np.zeros(n)
+    recent, near, off, weight, lit, times, stray, missed = room
     before, empty = -1, np.int64(0)
     for i in range(n):
         if void[i]:
@@ -63,7 +95,8 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
                     return
                 values[i] = empty
             continue
-        near[:] = -1
+        for j in range(AROUND):
+            near[j] = -1
         if width > 0:
             column = i % width
             if column > 0:
@@ -78,7 +111,7 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
                     near[4] = i - width + 1
             if i >= 2 * width:
                 near[5] = i - 2 * width
-            for j in range(_AROUND):
+            for j in range(AROUND):
                 if near[j] >= 0 and void[near[j]]:
                     near[j] = -1
         else:
@@ -90,12 +123,14 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
                 near[4] = recent[below[k], 0]
             near[5] = before
         total = mean = miss = 0.0
-        for j in range(_AROUND):
+        for j in range(AROUND):
             if near[j] < 0:
                 continue
             apart = abs(ranges[near[j]] - ranges[i]) / ranges[i] + _ALIKE
             alike = 1.0 / (apart * apart)
             alike = (alike if j in (0, 2) else 0.5 * alike) / (1.0 + missed[near[j]])
+            if learned is not None:
+                learned.apart[j], learned.alike[j] = apart, alike
             total += alike
             mean += alike * values[near[j]]
             miss += alike * missed[near[j]]
@@ -105,6 +140,8 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
             guided = lit[key] / square
             if times[key] > 0.0:
                 alike = _GUIDED / (1.0 + stray[key])
+                if learned is not None:
+                    learned.alike[AROUND - 1] = alike
                 total += alike
                 mean += alike * guided
                 miss += alike * stray[key]
@@ -113,9 +150,9 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
         if total > 0.0:
             mean, miss = mean / total, miss / total
         expected, power, rough = mean, 1.0, 0.0
-        for j in range(_AROUND):
+        for j in range(AROUND):
             off[j] = values[near[j]] - mean if near[j] >= 0 else 0.0
-            if j == _AROUND - 1 and times[key] > 0.0:
+            if j == AROUND - 1 and times[key] > 0.0:
                 off[j] = guided - mean
             expected += weight[j] * off[j]
             power += off[j] * off[j]
@@ -124,13 +161,19 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
         whole = np.int64(np.floor(expected + 0.5))
         spread = _bucket(miss + 0.15 * rough)
         about = _bucket(abs(expected))
-        number = code_number(
-            writing, state, data, of_spread, spread, of_value, about * _CLASSES + spread // 2, values[i] - whole if writing else 0
-        )  # fmt: skip
-        if not writing:
-            if state[3] != 0:
-                return
-            values[i] = whole + number
+        if learned is not None:
+            values[i] = code_learned_value(
+                writing, state, data, learned, i, 0 if width > 0 else laser[i], near, off,
+                stray[key] if times[key] > 0.0 else -1.0, mean, expected, miss + 0.15 * rough, values, missed, ranges, values[i],
+            )  # fmt: skip
+        else:
+            number = code_number(
+                writing, state, data, of_spread, spread, of_value, about * _CLASSES + spread // 2, values[i] - whole if writing else 0
+            )  # fmt: skip
+            if not writing:
+                values[i] = whole + number
+        if not writing and state[3] != 0:
+            return
         error = min(max(values[i] - expected, -_LARGEST), _LARGEST)
         missed[i] = abs(error)
         if len(guide) > 0:
@@ -139,7 +182,7 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
                 stray[key] += gain * (abs(values[i] - guided) - stray[key])
             lit[key] += gain * (values[i] * square - lit[key])
             times[key] += 1.0
-        for j in range(_AROUND):
+        for j in range(AROUND):
             weight[j] = min(max(weight[j] + _RATE * error * off[j] / power, -2.0), 2.0)
         before = i
         if width == 0:
@@ -150,19 +193,19 @@ def _code(writing, state, data, values, void, ranges, width, laser, above, below
 Around = tuple[Flags, F64, int, I64, I64, I64, I64]  # void, ranges, width, laser, above, below, guide
 
 
-def encode_blended(values: I64, around: Around) -> bytes:
-    """Encode values ``(N,)`` of a magnitude below MOST."""
+def encode_blended(values: I64, around: Around, learned: ValueWalk | None = None) -> bytes:
+    """Encode values ``(N,)`` of a magnitude below MOST; ``learned``: of such columns before, for efforts above ``fast``."""
     out = np.empty(16 * len(values) + 4096, np.uint8)
     state = start_encoder()
-    _code(True, state, out, values, *around, _models())
+    _code(True, state, out, values, *around, _models(), _new_room(len(values), len(around[4])), learned)
     return out[: int(finish_encoder(state, out))].tobytes()
 
 
-def decode_blended(around: Around, data: bytes) -> tuple[I64, bool]:
+def decode_blended(around: Around, data: bytes, learned: ValueWalk | None = None) -> tuple[I64, bool]:
     """Inverse of :func:`encode_blended`: the values, and whether the data made sense."""
     raw = np.frombuffer(bytearray(data), np.uint8)
     values, state = np.zeros(len(around[0]), np.int64), start_decoder(raw)
-    _code(False, state, raw, values, *around, _models())
+    _code(False, state, raw, values, *around, _models(), _new_room(len(values), len(around[4])), learned)
     return values, bool(state[3] == 0)
 
 

@@ -18,7 +18,7 @@ from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layo
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.message.field_coder import Points, decode_field
+from salpcc.stages.residual_code.message.field_coder import Points
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.strays.timeline import Timeline
 
@@ -82,6 +82,7 @@ def decode_cloud(
     points: NDArray[np.float32],
     exact: bool,
     before: bytearray,
+    modes: FieldModes,
     sensor: SensorModel | None = None,
     told: Timeline | None = None,
 ) -> Cloud:
@@ -137,7 +138,7 @@ def decode_cloud(
         if base is not None and not exact:
             values = base
         else:
-            values, at = decode_field(section, at, field.dtype, known, base)
+            values, at = modes.decode((cloud.topic, field.name), section, at, field.dtype, known, base)
         columns.append(values)
     if at != len(section):
         raise ArchiveError("payload does not decode")

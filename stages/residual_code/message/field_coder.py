@@ -57,9 +57,10 @@ from salpcc.stages.residual_code.message.firing_times import (
     fired_by,
 )
 from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
+from salpcc.stages.residual_code.message.learned_values import LearnedField
 from salpcc.stages.strays.timeline import LASERS, Timeline
 
-CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD, BLENDED = range(8)
+CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD, BLENDED, LEARNED = range(9)
 _RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, period, length
 _BY_LASER = struct.Struct("<I")  # length
 _TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
@@ -72,6 +73,7 @@ _CLOSE = 0.002  # metres from the lattice
 _FEWEST = 500  # values; delays, shifts and the like of fewer cost more than they save
 _WORTH_IT = 0.05  # bits a value; fields that take less are left
 _SAMPLE = 1 << 16
+_LATER = 0.9  # as many bytes it takes what is learned in the scans to come
 Values = NDArray[Any]
 Integers = NDArray[np.int64]
 _Way = tuple[int, int, int, int, int, int]  # form, scale, based, void, predictor, period
@@ -151,17 +153,26 @@ class Points:
             above[order[1:]], below[order[:-1]] = order[:-1], order[1:]
         return self.void, self.ranges, 0, self.fired.laser, above, below, guide
 
+    def ticks(self, what: int) -> tuple[Integers | None, int]:
+        """Ticks ``(N,)`` of points, and those in a turn, where what lies around is of lasers that tell them; else None."""
+        if what % _GUIDED != _FIRED or self.told is not None or self.fired is None:
+            return None, 0
+        return self.fired.tick, self.fired.ticks
+
     @cached_property
     def on_lattice(self) -> bool:
         """Whether lasers and ticks mean anything; to be asked by a writer only."""
         return self.told is not None or (self.sensor is not None and lies_on(self.sensor, self.xyz, _CLOSE))
 
 
-def encode_field(values: Values, points: Points, base: Values | None = None) -> bytes:
+def encode_field(
+    values: Values, points: Points, base: Values | None = None, learned: LearnedField | None = None
+) -> bytes:
     """Encode a field ``(N,)`` of any number type, bit for bit.
 
     Args:
         base: values of the same type that it is close to, such as the coordinate it was rounded from.
+        learned: of this field before, for efforts above ``fast``.
     """
     bits = to_bits(values)
     if len(values) == 0 or (bits == bits[0]).all():
@@ -190,18 +201,32 @@ def encode_field(values: Values, points: Points, base: Values | None = None) -> 
         coded = coded if other is None else min(coded, other, key=len)
     if base is not None or len(values) < _FEWEST or 8 * len(coded) < _WORTH_IT * len(values):
         return coded
-    for encode in (_encode_by_laser, _encode_columns, _encode_blended):
-        other = encode(values, points)
-        coded = coded if other is None else min(coded, other, key=len)
+    for other in (
+        _encode_by_laser(values, points),
+        _encode_columns(values, points),
+        _encode_blended(values, points, learned),
+    ):
+        coded = coded if other is None else min(coded, other, key=_worth)
     other = _encode_times(values, points, len(coded))
-    return coded if other is None else min(coded, other, key=len)
+    return coded if other is None else min(coded, other, key=_worth)
 
 
-def encode_like(record: bytes, values: Values, points: Points, base: Values | None = None) -> bytes | None:
+def _worth(record: bytes) -> float:
+    """Bytes of a record, of one that is learned as many as it will take in the scans to come."""
+    return len(record) * (_LATER if record[0] == LEARNED else 1.0)
+
+
+def encode_like(
+    record: bytes,
+    values: Values,
+    points: Points,
+    base: Values | None = None,
+    learned: LearnedField | None = None,
+) -> bytes | None:
     """Encode a field as ``record`` of the scan before has it; None where that cannot be.
 
     Args:
-        base: as for :func:`encode_field`.
+        base, learned: as for :func:`encode_field`.
     """
     form = record[0]
     if form in (RESIDUALS, SYMBOLS):
@@ -222,8 +247,8 @@ def encode_like(record: bytes, values: Values, points: Points, base: Values | No
         start = 1 + _COLUMNS.size
         rows = len(values) // points.width
         return _encode_columns_as(_read_small(rows, record[start : start + n_shifts]), void, values, points)
-    if form == BLENDED:
-        return _encode_blended_as([_BLENDED.unpack_from(record, 1)[0]], values, points)
+    if form in (BLENDED, LEARNED):
+        return _encode_blended_as([_BLENDED.unpack_from(record, 1)[0]], values, points, learned)
     return None
 
 
@@ -325,13 +350,15 @@ def _encode_columns_as(shifts: Integers, void: int, values: Values, points: Poin
     return bytes([COLUMNS]) + _COLUMNS.pack(void, int(bits[0]), len(told), len(stream)) + told + stream
 
 
-def _encode_blended(values: Values, points: Points) -> bytes | None:
+def _encode_blended(values: Values, points: Points, learned: LearnedField | None) -> bytes | None:
     """A field that looks like a picture; None where its values are no whole numbers, or too large."""
     ways = [_ROWS] * (points.width > 1) + [_FIRED] * points.on_lattice or [_LISTED]
-    return _encode_blended_as([*ways, *(way + _GUIDED for way in ways)], values, points)
+    return _encode_blended_as([*ways, *(way + _GUIDED for way in ways)], values, points, learned)
 
 
-def _encode_blended_as(ways: list[int], values: Values, points: Points) -> bytes | None:
+def _encode_blended_as(
+    ways: list[int], values: Values, points: Points, learned: LearnedField | None
+) -> bytes | None:
     """The same by the best of these neighbourhoods."""
     if values.dtype.kind != "f":
         form, scale, integers = BITS, 0, values.astype(np.int64)
@@ -346,18 +373,31 @@ def _encode_blended_as(ways: list[int], values: Values, points: Points) -> bytes
     for what in ways:
         around = points.around(what)
         if around is not None:
-            stream = encode_blended(integers, around)
-            coded.append(bytes([BLENDED]) + _BLENDED.pack(what, form, scale, len(stream)) + stream)
+            stream = encode_blended(
+                integers, around, None if learned is None else learned.walk(what, around, *points.ticks(what))
+            )
+            kind = BLENDED if learned is None else LEARNED
+            coded.append(bytes([kind]) + _BLENDED.pack(what, form, scale, len(stream)) + stream)
     return min(coded, key=len, default=None)
 
 
-def _decode_blended(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+def learned_way(record: bytes) -> int | None:
+    """What a record was learned around; None where it was not."""
+    return int(_BLENDED.unpack_from(record, 1)[0]) if record[0] == LEARNED else None
+
+
+def _decode_blended(
+    data: bytes, at: int, kind: np.dtype[Any], points: Points, learned: LearnedField | None = None
+) -> tuple[Values, int]:
     (what, form, scale, length), at = _unpacked(_BLENDED, data, at)
     around = points.around(what) if what <= _ROWS + _GUIDED else None
     sound = form == (DECIMAL if kind.kind == "f" else BITS) and scale < len(SCALES)
     if around is None or not sound or at + length > len(data):
         raise ArchiveError("payload does not decode")
-    integers, sound = decode_blended(around, data[at : at + length])
+    walk = None if learned is None else learned.walk(what, around, *points.ticks(what))
+    integers, sound = decode_blended(around, data[at : at + length], walk)
+    if learned is not None:
+        learned.settle(what)
     if not sound:
         raise ArchiveError("payload does not decode")
     return from_scale(integers, scale, kind) if form == DECIMAL else from_bits(integers, kind), at + length
@@ -436,7 +476,12 @@ _DECODE = {
 
 
 def decode_field(
-    data: bytes, at: int, kind: np.dtype[Any], points: Points, base: Values | None = None
+    data: bytes,
+    at: int,
+    kind: np.dtype[Any],
+    points: Points,
+    base: Values | None = None,
+    learned: LearnedField | None = None,
 ) -> tuple[Values, int]:
     """Inverse of :func:`encode_field`: the values, and where the record at ``at`` ends.
 
@@ -449,6 +494,8 @@ def decode_field(
     if data[at] == CONSTANT:
         end = at + 1 + kind.itemsize
         return np.full(n, np.frombuffer(data, kind, 1, at + 1)[0]), end
+    if data[at] == LEARNED and learned is not None:
+        return _decode_blended(data, at + 1, kind, points, learned)
     if data[at] in _DECODE:
         return _DECODE[data[at]](data, at + 1, kind, points)
     if at + 1 + _RECORD.size > len(data):

@@ -8,31 +8,86 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.message.field_coder import Points, encode_field, encode_like
+from salpcc.stages.residual_code.message.field_coder import (
+    LEARNED,
+    Points,
+    decode_field,
+    encode_field,
+    encode_like,
+    learned_way,
+)
+from salpcc.stages.residual_code.message.learned_values import LearnedField
 
+_MOST = 64  # fields of a group that are learned; the others are coded as ``fast`` does
 _MORE, _SLACK = 1.05, 0.05  # times as many bits a value as when it was searched for; bits a value
+
+Name = tuple[str, str]
 
 
 class FieldModes:
-    """The record of each field as it was last searched for, by topic and name."""
+    """The record of each field as it was last searched for, by topic and name, and what was learned of it.
 
-    def __init__(self) -> None:
-        self._found: dict[tuple[str, str], tuple[bytes, int]] = {}
+    Args:
+        learns: a writer of an effort above ``fast``; a reader is told by the records.
+    """
+
+    def __init__(self, learns: bool = False) -> None:
+        self._learns = learns
+        self._found: dict[Name, tuple[bytes, int]] = {}
+        self._learned: dict[Name, LearnedField] = {}
+
+    def _of(self, name: Name) -> LearnedField | None:
+        """Return what was learned of a field; None where there are too many of them."""
+        if name not in self._learned and len(self._learned) < _MOST:
+            self._learned[name] = LearnedField()
+        return self._learned.get(name)
 
     def encode(
-        self, name: tuple[str, str], values: NDArray[Any], points: Points, base: NDArray[Any] | None = None
+        self, name: Name, values: NDArray[Any], points: Points, base: NDArray[Any] | None = None
     ) -> bytes:
         """Encode a field ``(N,)`` as :func:`~.field_coder.encode_field` does, but in the mode that the one of this name had."""
+        learned = self._of(name) if self._learns else None
+        record = self._written(name, values, points, base, learned)
+        if learned is not None:
+            learned.settle(learned_way(record))
+        return record
+
+    def _written(
+        self,
+        name: Name,
+        values: NDArray[Any],
+        points: Points,
+        base: NDArray[Any] | None,
+        learned: LearnedField | None,
+    ) -> bytes:
         record, of = self._found.get(name, (b"", 0))
         if record and len(values) and not (values[1:] == values[:-1]).all():
-            coded = encode_like(record, values, points, base)
+            coded = encode_like(record, values, points, base, learned)
             if coded is not None and self._pays(len(coded), len(values), len(record), of):
                 return coded
-        coded = encode_field(values, points, base)
+        coded = encode_field(values, points, base, learned)
         self._found[name] = coded, len(values)
         return coded
+
+    def decode(
+        self,
+        name: Name,
+        data: bytes,
+        at: int,
+        kind: np.dtype[Any],
+        points: Points,
+        base: NDArray[Any] | None = None,
+    ) -> tuple[NDArray[Any], int]:
+        """Decode the record at ``at`` of the field of this name, as :func:`~.field_coder.decode_field` does.
+
+        Raises:
+            ArchiveError: it is damaged.
+        """
+        learned = self._of(name) if data[at : at + 1] == bytes([LEARNED]) else None
+        return decode_field(data, at, kind, points, base, learned)
 
     @staticmethod
     def _pays(size: int, of: int, before: int, of_before: int) -> bool:

@@ -71,6 +71,7 @@ def decode_logged(
     stream: bytes,
     intensity: bytes | None,
     before: bytearray,
+    modes: FieldModes,
     told: Timeline | None = None,
 ) -> Sweep:
     """Return a decoded sweep with its cloud; inverse of :func:`encode_logged` and :func:`encode_intensity`.
@@ -82,7 +83,7 @@ def decode_logged(
         ArchiveError: a stream is damaged.
     """
     points = sweep_to_scan(sweep, sensor).points
-    cloud = decode_cloud(stream, sweep.n_points, points, sweep.max_error == 0, before, sensor, told)
+    cloud = decode_cloud(stream, sweep.n_points, points, sweep.max_error == 0, before, modes, sensor, told)
     sweep = replace(sweep, cloud=cloud)
     if intensity is None:
         return sweep
@@ -90,7 +91,8 @@ def decode_logged(
         values = intensity_of(cloud)
     else:
         known = _guided(points_of(points, cloud, sensor, told), cloud)
-        values, end = decode_field(intensity, 0, np.dtype(np.float32), known)
+        name = (cloud.topic, _INTENSITY)
+        values, end = modes.decode(name, intensity, 0, np.dtype(np.float32), known)
         if end != len(intensity):
             raise ArchiveError("payload does not decode")
     on, off = source_places(sweep, sensor)

@@ -18,6 +18,7 @@ from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.value_models import ValueModels, value_models
 from salpcc.stages.strays.fit_turning import Fitted
+from salpcc.stages.strays.learned import LearnedLists
 from salpcc.stages.strays.ray_coder import Layout
 
 
@@ -26,9 +27,13 @@ class GopState:
     """All that learns through a GOP, what was decoded last, and the value models by effort, made when first needed.
 
     Each layer of a group has its own.
+
+    Args:
+        learns: a writer of an effort above ``fast``; a reader is told by what it reads.
     """
 
     sensor: SensorModel
+    learns: bool = False
     firing: NDArray[np.uint16] = field(default_factory=lambda: new_bits(mask_coder.FIRING_CONTEXTS))
     mask: NDArray[np.uint16] = field(default_factory=lambda: new_bits(mask_coder.RETURN_CONTEXTS))
     layer_firing: NDArray[np.uint16] = field(
@@ -39,7 +44,8 @@ class GopState:
     ulp: NDArray[np.uint16] = field(default_factory=lambda: new_bits(correction_coder.CONTEXTS))
     classes: NDArray[np.uint16] = field(default_factory=lambda: new_bits(class_coder.CONTEXTS))
     envelope: bytearray = field(default_factory=bytearray)  # of the recorded message before
-    fields: FieldModes = field(default_factory=FieldModes)  # of recorded messages; an encoder's business only
+    fields: FieldModes = field(init=False)  # of recorded messages
+    lists: LearnedLists = field(default_factory=LearnedLists)  # of points
     before: Sweep | None = None  # the scan decoded last
     # An encoder's business only: layouts of lists of points by topic, with the bytes a point that they took; rays that turn; and
     # scans in a row whose points did not follow from their times.
@@ -47,6 +53,9 @@ class GopState:
     turning: dict[str, Fitted] = field(default_factory=dict)
     timeless: int = 0
     _values: dict[str, ValueModels] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.fields = FieldModes(self.learns)
 
     def values(self, effort: str) -> ValueModels:
         """Return the models of levels and intensities of an effort."""

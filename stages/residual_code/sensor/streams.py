@@ -35,7 +35,7 @@ from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER, Header
 from salpcc.stages.residual_code.sensor.value_models import ValueModels
 from salpcc.stages.residual_code.stream import Stream, as_array, require_sound
-from salpcc.stages.strays.stray_coder import Plan, decode_strays, encode_strays, plan
+from salpcc.stages.strays.stray_coder import Plan, decode_strays, encode_strays, learned_number, plan
 from salpcc.stages.strays.stray_values import decode_values, encode_values
 from salpcc.stages.strays.timeline import Timeline
 
@@ -101,6 +101,7 @@ class Encoding:
             sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
             lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],
             turning=self.state.turning.get(self.topic),
+            learned=self.state.lists.of_topic(self.topic) if self.state.learns else None,
         )  # fmt: skip
         if found.turning is not None:
             self.state.turning[self.topic] = found.turning
@@ -262,6 +263,13 @@ def _corrections(
 
 
 def _encode_strays(scan: Encoding) -> bytes:
+    stream = _written_strays(scan)
+    if number := learned_number(stream):
+        scan.state.lists.settle(number)
+    return stream
+
+
+def _written_strays(scan: Encoding) -> bytes:
     index, layouts = scan.sweep.stray_index, scan.state.layouts
     stream = encode_strays(index, scan.strays)
     if len(scan.sweep.laser) or not len(index):  # not all points of a scan, in their order
@@ -279,7 +287,7 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
     header, sweep = scan.header, scan.sweep
     moved = header.motion if header.returns == 0 else None
     places, points, scan.told, sound = decode_strays(
-        header.strays, header.max_error, as_array(stream), scan.sensor, moved
+        header.strays, header.max_error, as_array(stream), scan.sensor, moved, scan.state.lists
     )
     require_sound(sound)
     if scan.told is not None:
@@ -381,7 +389,9 @@ def _decode_cloud(scan: Decoding, stream: bytes) -> None:
     sweep, static = scan.sweep, scan.static
     listed = sweep if static is None else alone(sweep, movable_mask(static, sweep, scan.sensor))
     of_field = scan.field_of_intensity if scan.intensity_is_field else None
-    found = logged_scan.decode_logged(listed, scan.sensor, stream, of_field, scan.state.envelope, scan.told)
+    found = logged_scan.decode_logged(
+        listed, scan.sensor, stream, of_field, scan.state.envelope, scan.state.fields, scan.told
+    )
     scan.sweep = replace(found, stray_index=sweep.stray_index, lead=sweep.lead)
 
 

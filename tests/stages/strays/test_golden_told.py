@@ -1,4 +1,4 @@
-"""Golden streams of strays whose lasers and times are told, and of a blended field: they decode to the same bits for ever.
+"""Golden streams of strays whose lasers and times are told, of learned ones, of blended and learned fields: they decode to the same bits for ever.
 
 If a test here fails, the format changed: bump the codec version (schemas/ARCHIVE.md, section 8) and run
 ``python tests/golden/make_golden_told.py``.
@@ -13,8 +13,17 @@ import pytest
 
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.message.blended_values import decode_blended, encode_blended
-from salpcc.stages.residual_code.message.field_coder import Points
-from salpcc.stages.strays.stray_coder import MOVED, TIMED, decode_strays
+from salpcc.stages.residual_code.message.field_coder import LEARNED, Points
+from salpcc.stages.residual_code.message.field_modes import FieldModes
+from salpcc.stages.strays.learned import LearnedLists
+from salpcc.stages.strays.stray_coder import (
+    MOVED,
+    TIMED,
+    decode_strays,
+    encode_strays,
+    learned_number,
+    plan,
+)
 
 TOLD = Path(__file__).parents[2] / "golden" / "told"
 EXPECTED = json.loads((TOLD / "expected.json").read_text())
@@ -43,3 +52,24 @@ def test_gives_the_same_values_and_bytes() -> None:
     assert sound
     assert zlib.crc32(values.astype("<i8").tobytes()) == EXPECTED["blended"]
     assert encode_blended(values, around) == data
+
+
+def test_gives_the_same_learned_points_and_values_and_bytes() -> None:
+    lists, again, modes, modes_again = LearnedLists(), LearnedLists(), FieldModes(), FieldModes(True)
+    for number, (n, of_points, of_values) in enumerate(EXPECTED["learned"]):
+        data = (TOLD / f"learned_{number}.bin").read_bytes()
+        _, points, _, sound = decode_strays(
+            n, 0.0, np.frombuffer(bytearray(data), np.uint8), SENSOR, lists=lists
+        )
+        assert sound
+        assert learned_number(data) == 1
+        assert zlib.crc32(points.tobytes()) == of_points
+        assert encode_strays(np.arange(n), plan(points, 0.0, SENSOR, learned=again.of_topic("/a"))) == data
+        again.settle(1)
+        record = (TOLD / f"values_{number}.bin").read_bytes()
+        assert record[0] == LEARNED
+        known = Points.of(points, 0, SENSOR)
+        values, end = modes.decode(("/a", "shine"), record, 0, np.dtype(np.int64), known)
+        assert end == len(record)
+        assert zlib.crc32(values) == of_values
+        assert modes_again.encode(("/a", "shine"), values, known) == record

@@ -1,0 +1,243 @@
+"""The count of a point as efforts above ``fast`` learn it: a mixture of what its neighbours and the sweep before say.
+
+The guesses of 1/d are those of :mod:`.aimed_neighbours`; where the sensor stands still, the point of the same laser nearest in azimuth in the sweep before
+says most; where it moves, what was there plus what has changed next to it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from salpcc.stages.entropy.mixed_numbers import (
+    NODES,
+    Guesses,
+    Numbers,
+    code_mixed_number,
+    learn_trust,
+    new_guesses,
+    new_numbers,
+    weigh,
+)
+from salpcc.stages.entropy.residual_bits import size_of
+from salpcc.stages.entropy.walks import Buffer, State
+from salpcc.stages.strays.aimed_neighbours import nearest_of
+
+_SIZES, _SPREADS, _SIGNED, _LASERS = 16, 12, 9, 256
+_CONTEXTS = (_SPREADS * _SIZES, _SPREADS * _SIGNED * _SIGNED, _SPREADS * _SIGNED * _SIGNED, _LASERS)
+_FIRST = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.array(_CONTEXTS))])
+_TOOK = np.array([0, 1, 2, 4])  # of the guesses of 1/d: same, straight on, above, below
+_BEFORE = 2  # guesses by the sweep before
+_MOST = len(_TOOK) + 2 + _BEFORE
+_NEAR = 0.0005  # turns; what was farther off in the sweep before says nothing
+_WIDER, _LEAST, _LEAST_BEFORE = 0.3, 0.25, 0.4  # widths: of how far off a guess was, and at least, in levels
+_UNKNOWN = 0.02  # of the distance
+
+I64 = NDArray[np.int64]
+F64 = NDArray[np.float64]
+
+
+class Turn(NamedTuple):
+    """The points ``(n,)`` of a sweep: azimuth in ticks, 1/d, and the rings of :func:`.aimed_neighbours.link`."""
+
+    azimuth: F64
+    inverse: F64
+    links: I64
+    ends: I64
+
+
+class CountModels(NamedTuple):
+    """What outlives a sweep: contexts, and the trust in guesses, of first returns and of others at the same tick ``(2, guesses)``."""
+
+    numbers: Numbers
+    trust: F64
+
+
+class CountSeen(NamedTuple):
+    """What a sweep of n points has shown so far, and room to work in.
+
+    Attributes:
+        before: the sweep before, whose ``cursor (256, 1)`` goes along.
+        was: of each point ``(n,)`` 1/d in the sweep before, 0 where that says nothing; ``off (n, 2)`` how far off the guesses by it were.
+        missed, sizes: of each point, how far off the centre it was in spreads, and the size of that in levels.
+    """
+
+    before: Turn
+    cursor: I64
+    was: F64
+    off: NDArray[np.float32]
+    missed: NDArray[np.float32]
+    sizes: NDArray[np.uint8]
+    guesses: Guesses
+    places: I64
+    opinions: F64
+
+
+def new_count_models() -> CountModels:
+    """Return fresh models."""
+    return CountModels(
+        new_numbers(int(_FIRST[-1]), 2 * _SPREADS, len(_CONTEXTS)), np.ones((2, _MOST), np.float64)
+    )
+
+
+def no_turn() -> Turn:
+    """Return what stands before the first sweep."""
+    none = np.zeros((0, 2), np.int64)
+    return Turn(np.zeros(0), np.zeros(0), none, none)
+
+
+def no_counts(n: int, before: Turn) -> CountSeen:
+    """Return what is known before the first of ``n`` points."""
+    return CountSeen(
+        before,
+        np.full((_LASERS, 1), -1),
+        np.zeros(n),
+        np.zeros((n, _BEFORE), np.float32),
+        np.zeros(n, np.float32),
+        np.zeros(n, np.uint8),
+        new_guesses(_MOST),
+        np.zeros(len(_CONTEXTS), np.int64),
+        np.zeros(len(_CONTEXTS)),
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def bucket_by(value: float, limit: float, ratio: float, most: int) -> int:
+    """Count limits ``limit``, ``limit * ratio``, … that a value is above, less than ``most``."""
+    bucket = 0
+    while bucket < most - 1 and value > limit:
+        limit *= ratio
+        bucket += 1
+    return bucket
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def signed_bucket(value: float) -> int:
+    """0 to 8: sign, and how many of 0.25, 0.75, 1.5, 3 the magnitude is above; 4 for next to nothing."""
+    size = abs(value)
+    bucket = np.int64(size > 0.25) + np.int64(size > 0.75) + np.int64(size > 1.5) + np.int64(size > 3.0)
+    return int(4 + bucket if value >= 0.0 else 4 - bucket)
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def _guess_before(seen: CountSeen, i, place, upper, lower, scale, spread, trust, of, inverse, n):  # type: ignore[no-untyped-def]
+    """Add guesses by the sweep before, if it had something at ``seen.was[i]``; return how many there are now."""
+    was, off, guesses = seen.was, seen.off, seen.guesses
+    d0, unit, middle = scale
+    near = far = count = 0.0
+    for j in (place, upper, lower):
+        if j >= 0 and was[j] > 0.0:
+            near += off[j, 0]
+            far += off[j, 1]
+            count += 1.0
+    near = near / count if count > 0.0 else _UNKNOWN
+    far = far / count if count > 0.0 else _UNKNOWN
+    for which in range(_BEFORE):
+        value = was[i]
+        if which == 1:
+            if place < 0 or was[place] == 0.0:
+                break
+            value = min(max(inverse[place] + value - was[place], 1e-3), 10.0)
+        wide = (near if which == 0 else far) / was[i] / unit
+        guesses.mean[n] = (1.0 / value - d0) / unit - middle
+        guesses.per[n] = 1.0 / (wide * _WIDER + _LEAST_BEFORE)
+        guesses.weight[n] = trust[of, n] * (1.0 if which == 0 else 0.3) * spread / (wide + spread + 0.1)
+        n += 1
+    return n
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def code_count(  # type: ignore[no-untyped-def]
+    writing, state: State, data: Buffer, models: CountModels, seen: CountSeen, i, k, neighbours, told, scale, ticks, azimuth, inverse,
+    errors, guess, most, level,
+):  # fmt: skip
+    """Write the level of point i of laser k, or read and return it.
+
+    Args:
+        neighbours: last point of the laser, nearest above and below; -1: none.
+        told: distance, spread and range of the guesses together, as :func:`.aimed_neighbours.guess_inverse` returns them.
+        scale: range of level 0 less half a level, metres a level, and 0.5 of a level less a count, in levels.
+        azimuth, inverse, errors, guess: of the walk; ``most``: the largest level.
+    """
+    place, upper, lower = neighbours
+    r, spread, apart = told
+    d0, unit, middle = scale
+    guesses, places, trust, was = seen.guesses, seen.places, models.trust, seen.was
+    of = np.int64(place >= 0 and azimuth[place] == azimuth[i])
+    together = (r - d0) / unit - middle
+    spread /= unit
+    apart /= unit
+    n, total = 0, 0.0
+    for p in _TOOK:
+        off, count = 0.0, 0.0
+        for j in (place, upper, lower):
+            if j >= 0:
+                off += errors[j, p] * (1.0 / 65535.0)
+                count += 1.0
+        off = off / count + 5e-5 if count > 0.0 else 0.5
+        d = 1.0 / guess[p]
+        guesses.mean[n] = (d - d0) / unit - middle
+        guesses.per[n] = 1.0 / (off * d / unit * _WIDER + _LEAST)
+        guesses.weight[n] = 1.0 / (off * off)
+        total += guesses.weight[n]
+        n += 1
+    for j in range(n):
+        guesses.weight[j] *= trust[of, j] / total
+    for wide in (0.5, 1.5):
+        guesses.mean[n], guesses.per[n], guesses.weight[n] = (
+            together,
+            1.0 / (spread * wide + _LEAST),
+            trust[of, n],
+        )
+        n += 1
+    before = seen.before
+    was[i] = 0.0
+    if len(before.azimuth) > 0 and before.ends[k, 1] >= 0:
+        at, off = nearest_of(
+            azimuth[i], k, seen.cursor, k, 0, ticks, before.azimuth, before.links, before.ends
+        )
+        if abs(off) < _NEAR * ticks:
+            was[i] = before.inverse[at]
+            n = _guess_before(seen, i, place, upper, lower, scale, spread, trust, of, inverse, n)
+    centre = min(max(weigh(guesses, n, together), 0.0), np.float64(most))
+    size = np.int64(seen.sizes[place]) if place >= 0 else _SIZES - 1
+    wide = bucket_by(spread, 0.5, 1.6, _SPREADS)
+    grain = 1.0 / (spread + 0.5)
+    of_place = signed_bucket((guesses.mean[0] - centre) * grain)
+    of_before = signed_bucket(((1.0 / was[i] - d0) / unit - middle - centre) * grain) if was[i] > 0.0 else 4
+    missed = signed_bucket(seen.missed[place]) if place >= 0 else 4
+    missed_above = signed_bucket(seen.missed[upper]) if upper >= 0 else 4
+    places[0] = bucket_by(apart, 1.0, 1.6, _SPREADS) * _SIZES + size
+    places[1] = _FIRST[1] + (wide * _SIGNED + of_place) * _SIGNED + of_before
+    places[2] = _FIRST[2] + (missed * _SIGNED + missed_above) * _SPREADS + wide
+    places[3] = _FIRST[3] + k
+    for c in range(len(places)):
+        places[c] *= NODES
+    found = code_mixed_number(
+        writing,
+        state,
+        data,
+        level,
+        centre,
+        guesses,
+        n,
+        models.numbers,
+        places,
+        of * _SPREADS + wide,
+        seen.opinions,
+    )
+    found = min(max(found, 0), most)
+    learn_trust(found, guesses, n, trust, of)
+    seen.missed[i] = (found - centre) * grain
+    seen.sizes[i] = min(size_of(abs(found - np.int64(np.floor(centre + 0.5)))), _SIZES - 1)
+    if was[i] > 0.0:
+        d = max((found + middle) * unit + d0, 1e-3)
+        changed = was[i]
+        if place >= 0 and was[place] > 0.0:
+            changed = min(max(inverse[place] + changed - was[place], 1e-3), 10.0)
+        seen.off[i, 0] = min(abs(was[i] * d - 1.0), 1.0)
+        seen.off[i, 1] = min(abs(changed * d - 1.0), 1.0)
+    return found

@@ -1,0 +1,121 @@
+"""Lists of points as efforts above ``fast`` code them: to the bit, in fewer bits, and fewer still where the sensor stands."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.strays.learned import MOST_LISTS, LearnedLists
+from salpcc.stages.strays.stray_coder import (
+    AIMED,
+    decode_strays,
+    encode_strays,
+    learned_number,
+    plan,
+    snap,
+)
+
+Points = NDArray[np.float32]
+LASERS, FIRINGS = 16, 300
+
+
+@pytest.fixture(scope="module")
+def fan() -> SensorModel:
+    zero = np.zeros(LASERS)
+    theta = np.radians(np.linspace(15, -15, LASERS))
+    return SensorModel("fan", 36_000, 0.002, theta, zero, zero, zero, zero, zero.astype(np.int64))
+
+
+def turn(fan: SensorModel, seed: int, rows: bool = False) -> Points:
+    """A room as one turn sees it: walls with noise, some returns missing, firings whose azimuth jitters."""
+    rng = np.random.default_rng(seed)
+    laser, firing = np.tile(np.arange(LASERS), FIRINGS), np.repeat(np.arange(FIRINGS), LASERS)
+    tick = firing * 100 + (0 if rows else rng.integers(0, 2, FIRINGS)[firing])
+    wall = 9.0 + 4.0 * np.sin(firing / 15) + np.sign(np.sin(laser * 3.0 + firing / 9))
+    count = np.rint((wall + rng.normal(0, 0.008, len(laser))) / fan.count)
+    points = unproject(fan, laser.astype(np.uint8), tick.astype(np.int32), count).astype(np.float32)
+    if rows:
+        return np.ascontiguousarray(points.reshape(FIRINGS, LASERS, 3).transpose(1, 0, 2).reshape(-1, 3))
+    return points[rng.random(len(laser)) < 0.85]
+
+
+def written(scans: list[Points], fan: SensorModel, max_error: float, learns: bool) -> list[bytes]:
+    """Streams of the scans of a group, which must decode to them one after the other."""
+    writer, reader, streams = LearnedLists(), LearnedLists(), []
+    for points in scans:
+        snapped = snap(points, max_error, fan)
+        learned = writer.of_topic("/a") if learns else None
+        data = encode_strays(np.arange(len(points)), plan(snapped, max_error, fan, learned=learned))
+        assert data[4] == AIMED
+        assert learned_number(data) == int(learns)
+        if learns:
+            writer.settle(1)
+        read = np.frombuffer(bytearray(data), np.uint8)
+        _, back, _, sound = decode_strays(len(points), max_error, read, fan, lists=reader)
+        assert sound
+        assert back.tobytes() == snapped.tobytes()
+        streams.append(data)
+    return streams
+
+
+@pytest.mark.parametrize("max_error", [0.0, 0.01])
+def test_takes_fewer_bits_and_learns_from_the_scan_before(fan: SensorModel, max_error: float) -> None:
+    scans = [turn(fan, seed) for seed in range(3)]
+    plain = [len(data) for data in written(scans, fan, max_error, False)]
+    learned = [len(data) for data in written(scans, fan, max_error, True)]
+    assert learned[0] < 0.95 * plain[0]
+    assert learned[2] < 0.85 * plain[2]
+
+
+def test_rows_of_an_organised_cloud(fan: SensorModel) -> None:
+    scans = [turn(fan, seed, rows=True) for seed in range(2)]
+    plain, learned = (written(scans, fan, 0.0, learns) for learns in (False, True))
+    assert len(learned[1]) < len(plain[1])
+
+
+def test_other_points_and_dual_returns_come_back(fan: SensorModel) -> None:
+    rng = np.random.default_rng(0)
+    scans = []
+    for seed in range(3):
+        points = np.repeat(turn(fan, seed), 2, axis=0)
+        points[1::2] *= rng.choice([1.0, 1.25], (len(points) // 2, 1)).astype(np.float32)
+        points[::50] += rng.normal(0, 1, (len(points[::50]), 3)).astype(np.float32)
+        points[7:9] = [[np.nan] * 3, [0, 0, 0]]
+        scans.append(points[: len(points) - 900 * seed])
+    written(scans, fan, 0.0, True)
+
+
+def test_a_trial_that_is_not_settled_leaves_no_trace(fan: SensorModel) -> None:
+    scans = [turn(fan, seed) for seed in range(2)]
+    streams = written(scans, fan, 0.0, True)
+    lists = LearnedLists()
+    for points, data in zip(scans, streams, strict=True):
+        found = plan(points, 0.0, fan, learned=lists.of_topic("/a"))
+        for _ in range(2):
+            assert encode_strays(np.arange(len(points)), found) == data
+        lists.settle(1)
+
+
+def test_topics_learn_apart_and_only_so_many(fan: SensorModel) -> None:
+    lists = LearnedLists()
+    known = [lists.of_topic(f"/{topic}") for topic in range(MOST_LISTS + 1)]
+    assert [one and one.number for one in known] == [*range(1, MOST_LISTS + 1), None]
+    assert lists.of_topic("/0") is known[0]
+
+
+def test_damaged_streams_end(fan: SensorModel) -> None:
+    points = turn(fan, 0)
+    stream = written([points], fan, 0.0, True)[0]
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        data = bytearray(stream[: rng.integers(40, len(stream) + 1)])
+        for _ in range(3):
+            data[rng.integers(30, len(data))] ^= int(rng.integers(1, 256))
+        back = decode_strays(len(points), 0.0, np.frombuffer(data, np.uint8), fan, lists=LearnedLists())[1]
+        assert back.shape == points.shape
+    read = np.frombuffer(bytearray(stream), np.uint8)
+    assert not decode_strays(len(points), 0.0, read, fan)[3]  # nothing is known of what was learned
+    assert not decode_strays(len(points), 0.0, read, replace(fan, theta=fan.theta + 0.1), lists=None)[3]
