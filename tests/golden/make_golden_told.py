@@ -48,9 +48,9 @@ def standing(seed: int) -> np.ndarray:
     return np.ascontiguousarray(points[rng.random(len(laser)) < 0.9])
 
 
-def shine_of(points: np.ndarray) -> np.ndarray:
-    """Intensities that follow from distances, and noise."""
-    wall = 60.0 + 40.0 * np.sign(np.sin(9.0 * np.sqrt((points.astype(float) ** 2).sum(axis=1))))
+def shine_of(points: np.ndarray, often: float = 9.0) -> np.ndarray:
+    """Intensities that follow from distances, changing so often, and noise."""
+    wall = 60.0 + 40.0 * np.sign(np.sin(often * np.sqrt((points.astype(float) ** 2).sum(axis=1))))
     return np.rint(wall + np.random.default_rng(1).normal(0, 2, len(wall))).astype(np.int64)
 
 
@@ -62,7 +62,7 @@ def learned(scans: list[np.ndarray]) -> dict[str, bytes]:
         written[f"learned_{number}"] = encode_strays(np.arange(len(points)), found)
         lists.settle(1)
         known = Points.of(points, 0, sensor)
-        written[f"values_{number}"] = modes.encode(("/a", "shine"), shine_of(points), known)
+        written[f"values_{number}"] = modes.encode(("/a", "shine"), shine_of(points, 3.0), known)
     return written
 
 
@@ -85,7 +85,9 @@ def main() -> None:
         "moved": [streams["moved"][4], zlib.crc32(points.tobytes())],
         "timed": [streams["timed"][4], zlib.crc32(halves.tobytes())],
         "blended": zlib.crc32(shine.tobytes()),
-        "learned": [[len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan))] for scan in scans],
+        "learned": [
+            [len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan, 3.0))] for scan in scans
+        ],
         "time": zlib.crc32(time.astype("<i8").tobytes()),
     }
     for name, data in streams.items():

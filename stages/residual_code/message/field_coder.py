@@ -73,7 +73,6 @@ _CLOSE = 0.002  # metres from the lattice
 _FEWEST = 500  # values; delays, shifts and the like of fewer cost more than they save
 _WORTH_IT = 0.05  # bits a value; fields that take less are left
 _SAMPLE = 1 << 16
-_LATER = 0.9  # as many bytes it takes what is learned in the scans to come
 Values = NDArray[Any]
 Integers = NDArray[np.int64]
 _Way = tuple[int, int, int, int, int, int]  # form, scale, based, void, predictor, period
@@ -206,14 +205,9 @@ def encode_field(
         _encode_columns(values, points),
         _encode_blended(values, points, learned),
     ):
-        coded = coded if other is None else min(coded, other, key=_worth)
+        coded = coded if other is None else min(coded, other, key=len)
     other = _encode_times(values, points, len(coded))
-    return coded if other is None else min(coded, other, key=_worth)
-
-
-def _worth(record: bytes) -> float:
-    """Bytes of a record, of one that is learned as many as it will take in the scans to come."""
-    return len(record) * (_LATER if record[0] == LEARNED else 1.0)
+    return coded if other is None else min(coded, other, key=len)
 
 
 def encode_like(
