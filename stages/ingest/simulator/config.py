@@ -22,6 +22,7 @@ class SimulationConfig:
         scene: what stands along the street, one of :data:`SCENES`.
         movers: number of moving cars, trucks, buses, cyclists, pedestrians near the drive.
         parked: share of the kerb that parked cars take, 0 to 1.
+        large: share of all vehicles that are lorries, buses, trams, delivery vans and the like, beside the few there are.
         period_s: time of one turn of the sensor.
         ticks_per_firing: encoder ticks between two firings of the whole block, of 4000 a turn.
         sensor_height: of the sensor above the road, metres.
@@ -40,6 +41,7 @@ class SimulationConfig:
     scene: str = "mixed"
     movers: int = 12
     parked: float = 0.25
+    large: float = 0.0
     period_s: float = 0.1037
     ticks_per_firing: float = 1.851
     sensor_height: float = 1.73

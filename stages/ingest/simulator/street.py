@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salpcc.stages.ingest.simulator import plants, structures, vehicles
+from salpcc.stages.ingest.simulator import large_vehicles, plants, structures, vehicles
 from salpcc.stages.ingest.simulator.config import SimulationConfig
 from salpcc.stages.ingest.simulator.drive import CentreLine
 from salpcc.stages.ingest.simulator.ground import KERB, Stretch, ground, height
@@ -83,10 +83,12 @@ class _Builder:
         """Parked vehicles, street trees, lamps, signs, bins."""
         rng, edge, side = self.rng, self.road + st.parking, st.side
         parked = self.config.parked * (1.5 if st.parking else 0.35)
-        for s in self.along(st, 6.0, 7.5):
+        for s in self.along(st, 6.0, 7.5) if not self.config.large else self.along(st, 12.0, 19.0):
             if rng.random() < parked:
                 self.instances += 1
                 make = _PARKED[int(rng.choice(3, p=[share for _, share in _PARKED]))][0]
+                if self.config.large and rng.random() < self.config.large:
+                    make = large_vehicles.large_vehicle
                 turn = (0.0 if side < 0 else np.pi) + float(rng.normal(0, 0.02))
                 mesh = make(rng)
                 left = edge - 1.15 if st.parking else edge + 0.7

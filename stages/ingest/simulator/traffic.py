@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.ingest.simulator import people, vehicles
+from salpcc.stages.ingest.simulator import large_vehicles, people, vehicles
 from salpcc.stages.ingest.simulator.drive import Drive
 from salpcc.stages.ingest.simulator.ground import KERB, Stretch, height
 from salpcc.stages.ingest.simulator.mesh import Mesh
@@ -22,6 +22,12 @@ MOVING_CAR, MOVING_BICYCLIST, MOVING_PERSON, MOVING_MOTORCYCLIST, MOVING_BUS, MO
     257,
     258,
 )
+_MOVING = {
+    vehicles.TRUCK: MOVING_TRUCK,
+    vehicles.BUS: MOVING_BUS,
+    vehicles.OTHER_VEHICLE: 259,
+    large_vehicles.TRAM: 256,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +74,7 @@ def spread(drive: Drive, road: float, stretches: list[Stretch], first_instance: 
         )
         kind = kinds[i % len(kinds)]
         if kind is _vehicle:
-            mesh = _vehicle(rng, instance)
+            mesh = _vehicle(rng, instance, config.large)
             if slots and rng.random() < 0.4 and config.speed_mps > 0:
                 movers.append(Mover(mesh, slots.pop(), None, drive.lane, 0.0, road))
             else:
@@ -87,7 +93,10 @@ def spread(drive: Drive, road: float, stretches: list[Stretch], first_instance: 
     return movers
 
 
-def _vehicle(rng: np.random.Generator, instance: int) -> Mesh:
+def _vehicle(rng: np.random.Generator, instance: int, large: float) -> Mesh:
+    if large and rng.random() < large:
+        mesh = large_vehicles.large_vehicle(rng)
+        return mesh.labelled(_MOVING[int(mesh.label[0])], instance)
     kind = rng.random()
     if kind < 0.86:
         return vehicles.car(rng).labelled(MOVING_CAR, instance)

@@ -32,7 +32,8 @@ _SHAPES: dict[str, tuple[float, float, float, list[tuple[float, float]], list[tu
 }  # fmt: skip
 
 
-def _wheels(places: list[float], half_width: float, radius: float, label: int) -> list[Mesh]:
+def wheels(places: list[float], half_width: float, radius: float, label: int) -> list[Mesh]:
+    """Shape a pair of wheels at each of ``places`` along x, metres."""
     return [
         tube((x, y - 0.1, radius), (x, y + 0.1, radius), (radius, radius), TYRE, label, sides=12)
         for x in places
@@ -59,7 +60,7 @@ def car(rng: np.random.Generator, label: int = CAR) -> Mesh:
             windows, (side, -side), PAINT if kind == "van" and rng.random() < 0.5 else GLASS, label, gain
         ),
         box((rear[0], -side[1], z - 0.06), (front[0], side[1], z), PAINT, label, gain),
-        *_wheels([half * 0.62, -half * 0.6], width / 2, 0.32, label),
+        *wheels([half * 0.62, -half * 0.6], width / 2, 0.32, label),
     ]
     for y, inner in ((width / 2 - 0.04, side[1]), (0.04 - width / 2, -side[1])):
         for i in range(2):
@@ -85,7 +86,7 @@ def truck(rng: np.random.Generator, label: int = TRUCK) -> Mesh:
         box((nose - 1.4, -1.17, 1.5), (nose - 0.4, 1.17, 2.2), GLASS, label),
         box((-nose, -1.25, 1.0), (nose - 2.1, 1.25, high), TARPAULIN, label, float(rng.uniform(0.6, 1.2))),
         box((-nose, -0.5, 0.5), (nose - 0.2, 0.5, 1.0), METAL, label, 0.5),
-        *_wheels([nose - 1.2, -nose + 1.0, -nose + 2.2], 1.2, 0.48, label),
+        *wheels([nose - 1.2, -nose + 1.0, -nose + 2.2], 1.2, 0.48, label),
     ]
     return merge(parts)
 
@@ -97,7 +98,7 @@ def bus(rng: np.random.Generator, label: int = BUS) -> Mesh:
         box((-6.0, -1.27, 0.35), (6.0, 1.27, 1.25), TARPAULIN, label, gain),
         box((-5.97, -1.24, 1.25), (5.97, 1.24, 2.4), GLASS, label),
         box((-6.0, -1.27, 2.4), (6.0, 1.27, 3.05), TARPAULIN, label, gain),
-        *_wheels([3.6, -3.4], 1.25, 0.48, label),
+        *wheels([3.6, -3.4], 1.25, 0.48, label),
     ]
     parts += [
         box((x, -1.27, 1.2), (x + 0.15, 1.27, 2.45), TARPAULIN, label, gain)

@@ -179,3 +179,13 @@ def test_sequence_is_laid_out_like_semantickitti(tmp_path: Path, sensor: SensorM
 def test_impossible_drives_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="simulation 00"):
         replace(SimulationConfig(), **wrong)  # type: ignore[arg-type]
+
+
+def test_streets_of_large_vehicles_have_many_of_many_kinds(sensor: SensorModel) -> None:
+    large = replace(BRIEF, scans=1, large=0.8, parked=0.8)
+    labels = np.concatenate([scan.labels for scan in simulate_scans(large, sensor)])
+    usual = np.concatenate([scan.labels for scan in simulate_scans(replace(BRIEF, scans=1), sensor)])
+    kinds = (13, 16, 18, 20, 256, 257, 258, 259)
+    share = [np.isin(one & 0xFFFF, kinds).mean() for one in (labels, usual)]
+    assert share[0] > 5 * share[1]
+    assert len(np.unique(labels[np.isin(labels & 0xFFFF, kinds)] & 0xFFFF)) >= 3
