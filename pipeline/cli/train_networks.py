@@ -86,6 +86,13 @@ def segment(
             help="Go on from these weights, in a phase of its own, and end halfway between them and what is learned.",
         ),
     ] = "",
+    teacher: Annotated[
+        str,
+        typer.Option(
+            metavar="WEIGHTS",
+            help="Train, too, on what these weights are sure of where --data has no labels, or boxes only.",
+        ),
+    ] = "",
     seed: Annotated[int, typer.Option(help="The seed of weights and crops.")] = 0,
     every: Annotated[int, typer.Option(min=1, help="Steps between checkpoints and scores.")] = 250,
     workers: Annotated[int, typer.Option(min=0, help="Processes that make crops.")] = 1,
@@ -106,6 +113,7 @@ def segment(
     from salpcc.stages.segment.training.donors import simulated_donors
     from salpcc.stages.segment.training.labelled import list_labelled, split_labelled
     from salpcc.stages.segment.training.loop import train_segment
+    from salpcc.stages.segment.training.pseudo_labels import complete_labels
     from salpcc.stages.segment.training.recipe import GOING_ON, PHASES, Recipe
     from salpcc.stages.segment.training.score import score_table
     from salpcc.stages.segment.weights_file import weights_path
@@ -117,7 +125,7 @@ def segment(
     check_device(device)
     items = [item.strip() for item in hold_out.split(",") if item.strip()]
     names = [name for item in items for name in ([item] if "/" in item else expand_sequences(item))]
-    refs, held_out = split_labelled(data, names)
+    refs, held_out = split_labelled(data, names, taught=bool(teacher))
     if score is not None:
         for line in score_table(load_cached(weights_path(score), device), held_out):
             typer.echo(line)
@@ -130,6 +138,11 @@ def segment(
         given = simulated_donors(out / "donors", STDERR.print)
     else:
         given = [] if donors == "none" else list_labelled(Path(donors))
+    if teacher:
+        taught = complete_labels(
+            load_cached(weights_path(teacher), device), refs, out / "taught", STDERR.print
+        )
+        refs = [ref for ref in refs if ref.labels is not None] + taught
     path = train_segment(refs, held_out, out, recipe, device, given, resume, log=STDERR.print)
     typer.echo(f"weights: {path}; use them with --weights {path}")
 

@@ -43,22 +43,31 @@ class LabelledImage:
     instances: NDArray[np.uint32]
 
 
-def list_labelled(root: Path) -> list[ScanRef]:
+def list_labelled(root: Path, taught: bool = False) -> list[ScanRef]:
     """List the labelled scans of a root in the layout of SemanticKITTI, of KITTI's objects or of its tracking.
+
+    Args:
+        taught: a teacher is at hand, so a root without any labels will do, too.
 
     Raises:
         SourceError: nothing is labelled.
     """
     source = SemanticKitti()
-    refs = [ref for sequence in source.sequences(root) for ref in source.scans(root, sequence)]
-    refs = [ref for ref in refs if ref.labels is not None] + list_boxed(root)
+    every = [ref for sequence in source.sequences(root) for ref in source.scans(root, sequence)]
+    refs = [ref for ref in every if ref.labels is not None] + list_boxed(root)
+    if not refs and taught:
+        refs = every
     if not refs:
         raise SourceError(f"{root}: no labelled scans. {source.hint}; or {HINT}")
     return refs
 
 
-def split_labelled(roots: Sequence[Path], names: Sequence[str]) -> tuple[list[ScanRef], list[ScanRef]]:
+def split_labelled(
+    roots: Sequence[Path], names: Sequence[str], taught: bool = False
+) -> tuple[list[ScanRef], list[ScanRef]]:
     """List the labelled scans of some roots: those to train on, and those held out, by sequence or ``SEQUENCE/SCAN``.
+
+    ``taught`` as in :func:`list_labelled`.
 
     Raises:
         SourceError: a root has no labelled scans, or nothing has such a name.
@@ -66,7 +75,7 @@ def split_labelled(roots: Sequence[Path], names: Sequence[str]) -> tuple[list[Sc
     rest: list[ScanRef] = []
     held: list[ScanRef] = []
     unmet = set(names)
-    for ref in (ref for root in roots for ref in list_labelled(root)):
+    for ref in (ref for root in roots for ref in list_labelled(root, taught)):
         met = {sequence_of(ref), f"{sequence_of(ref)}/{ref.name}"} & set(names)
         unmet -= met
         (held if met else rest).append(ref)

@@ -1,0 +1,124 @@
+"""Pseudo-labels: what a trained network is sure of, where nobody has labelled.
+
+Boxes label a sixth of a scan, most recorded scans have no labels at all. A teacher labels the rest: the network with all
+that it has beside a single look (the mirrored scan, the scans before and after, objects), which is more than its pupil is
+shown. Of what it is not sure of nothing is said, and what boxes say stands (self-training; Xie et al., CVPR 2020).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.files import atomic
+from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS, MOVABLE, OTHER
+from salpcc.schemas.scan import Scan
+from salpcc.schemas.work import ScanRef
+from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
+from salpcc.stages.segment.class_shares import as_in_streets
+from salpcc.stages.segment.fused import FusedNetwork
+from salpcc.stages.segment.labelling import joined
+from salpcc.stages.segment.objects import judge_objects
+from salpcc.stages.segment.registration import steps_between
+from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
+from salpcc.stages.segment.several_scans import agree
+from salpcc.stages.segment.training.labelled import not_movable, raw_labels, sequence_of
+
+_SURE_MOVABLE = 0.95  # of the pixels said to be so with 0.8 to 0.9 every second is
+_SURE_STATIC = 0.05  # probability to be movable
+_SURE_CLASS = 0.8  # probability of ground or other, to say which
+_IN_NO_BOX = 99
+_WHOLE = 0.5  # of the points of a scan; boxes cover a sixth
+_GROUP = 8
+_ID = np.array([c.ids[0] if c.ids else 0 for c in CLASSES], np.uint32)
+
+
+def complete_labels(
+    network: FusedNetwork, refs: Sequence[ScanRef], out: Path, log: Callable[[str], None] = print
+) -> list[ScanRef]:
+    """Write labels of the scans that have none or boxes, ``OUT/FOLDER/NAME.label``; return those scans with their new labels."""
+    completed: list[ScanRef] = []
+    folders = {
+        name: f"{k:03d}" for k, name in enumerate(dict.fromkeys(Path(ref.path).parent for ref in refs))
+    }
+    for group in _groups(refs):
+        scans = [SemanticKitti().read(ref, with_labels=False) for ref in group]
+        given = [
+            np.zeros(len(scan.points), np.uint32) if ref.labels is None else raw_labels(ref, scan.points)
+            for ref, scan in zip(group, scans, strict=True)
+        ]
+        if all((labels != 0).mean() > _WHOLE for labels in given):
+            continue
+        log(f"the teacher labels {sequence_of(group[0])}, {group[0].name} to {group[-1].name}")
+        for ref, labels, said in zip(group, given, pseudo_labels(network, scans), strict=True):
+            path = out / folders[Path(ref.path).parent] / f"{ref.name}.label"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic(path) as stream:
+                stream.write(join_labels(labels, said).tobytes())
+            completed.append(replace(ref, labels=str(path)))
+    return completed
+
+
+def pseudo_labels(network: FusedNetwork, scans: Sequence[Scan]) -> list[NDArray[np.uint32]]:
+    """Return SemanticKITTI labels ``(N,)`` of the scans of a group, of one drive or of many.
+
+    0 where the network is not sure, 99 where it is sure of no more than that a point is not movable.
+    """
+    found = [_twice(network, scan) for scan in scans]
+    steps = steps_between(found, joined(scans), [None] * len(found))
+    return [
+        _sure(one, len(scan.points))
+        for one, scan in zip(judge_objects(agree(found, steps), steps), scans, strict=True)
+    ]
+
+
+def join_labels(labels: NDArray[np.uint32], said: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Put together labels ``(N,)`` that boxes tell and what is ``said`` beside: boxes are right, but do not tell what is in no box."""
+    both = np.where(labels == 0, said, labels)
+    moves = np.isin(said, _ID[GROUP_OF_CLASS == MOVABLE])
+    static = not_movable(labels) & (said != 0) & ~moves
+    both[static] = said[static]
+    return both.astype(np.uint32)
+
+
+def _twice(network: FusedNetwork, scan: Scan) -> Segmentation:
+    """What the network says of a scan and of its mirror image, in the mean."""
+    image, scores = class_scores(network, scan.points, scan.intensity)
+    mirrored = scan.points * np.array([1, -1, 1], np.float32)
+    _, other = class_scores(network, mirrored, scan.intensity)
+    mean = ((scores + other[:, ::-1]) / 2).astype(np.float32)
+    return by_group(image, as_in_streets(mean))
+
+
+def _sure(found: Segmentation, n: int) -> NDArray[np.uint32]:
+    seen = found.image.index >= 0
+    groups, best = found.groups[:, seen], found.best[:, seen]
+    labels = np.zeros(groups.shape[1], np.uint32)
+    labels[groups[MOVABLE] <= _SURE_STATIC] = _IN_NO_BOX
+    for group in (GROUND, OTHER):
+        sure = (groups[MOVABLE] <= _SURE_STATIC) & (groups[group] >= _SURE_CLASS)
+        labels[sure] = _ID[best[group, sure]]
+    sure = groups[MOVABLE] >= _SURE_MOVABLE
+    labels[sure] = _ID[best[MOVABLE, sure]]
+    points = np.zeros(n, np.uint32)
+    points[found.image.index[seen]] = labels
+    return points
+
+
+def _groups(refs: Sequence[ScanRef]) -> Iterator[list[ScanRef]]:
+    group: list[ScanRef] = []
+    for ref in refs:
+        if group and (
+            len(group) == _GROUP
+            or sequence_of(ref) != sequence_of(group[-1])
+            or ref.number != group[-1].number + 1
+        ):
+            yield group
+            group = []
+        group.append(ref)
+    if group:
+        yield group
