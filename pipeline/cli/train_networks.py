@@ -139,10 +139,7 @@ def segment(
     else:
         given = [] if donors == "none" else list_labelled(Path(donors))
     if teacher:
-        taught = complete_labels(
-            load_cached(weights_path(teacher), device), refs, out / "taught", STDERR.print
-        )
-        refs = [ref for ref in refs if ref.labels is not None] + taught
+        refs = complete_labels(load_cached(weights_path(teacher), device), refs, out / "taught", STDERR.print)
     path = train_segment(refs, held_out, out, recipe, device, given, resume, log=STDERR.print)
     typer.echo(f"weights: {path}; use them with --weights {path}")
 

@@ -8,7 +8,7 @@ shown. Of what it is not sure of nothing is said, and what boxes say stands (sel
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,16 +31,36 @@ from salpcc.stages.segment.training.labelled import not_movable, raw_labels, seq
 _SURE_MOVABLE = 0.95  # of the pixels said to be so with 0.8 to 0.9 every second is
 _SURE_STATIC = 0.05  # probability to be movable
 _SURE_CLASS = 0.8  # probability of ground or other, to say which
+_LIKELY = 0.3
+_PARKED = [i for i, c in enumerate(CLASSES) if c.name in ("bicycle", "motorcycle")]
 _IN_NO_BOX = 99
 _WHOLE = 0.5  # of the points of a scan; boxes cover a sixth
 _GROUP = 8
 _ID = np.array([c.ids[0] if c.ids else 0 for c in CLASSES], np.uint32)
 
 
+@dataclass(frozen=True, eq=False)
+class Said:
+    """What a teacher says of the points of a scan.
+
+    Attributes:
+        labels: ``(N,)`` uint32, SemanticKITTI's ids: 0 where it is not sure, 99 where it is sure of no more than that
+            a point is not movable.
+        parked: ``(N,)`` whether a point may be a parked bicycle's or motorcycle's, which have no boxes.
+    """
+
+    labels: NDArray[np.uint32]
+    parked: NDArray[np.bool_]
+
+
 def complete_labels(
     network: FusedNetwork, refs: Sequence[ScanRef], out: Path, log: Callable[[str], None] = print
 ) -> list[ScanRef]:
-    """Write labels of the scans that have none or boxes, ``OUT/FOLDER/NAME.label``; return those scans with their new labels."""
+    """Label what nobody has labelled, and return all scans to train on.
+
+    Scans with boxes are returned twice, with what boxes tell and with all that is known, scans without labels once. Their
+    labels are written to ``OUT/boxes`` and ``OUT/all``.
+    """
     completed: list[ScanRef] = []
     folders = {
         name: f"{k:03d}" for k, name in enumerate(dict.fromkeys(Path(ref.path).parent for ref in refs))
@@ -51,23 +71,26 @@ def complete_labels(
             np.zeros(len(scan.points), np.uint32) if ref.labels is None else raw_labels(ref, scan.points)
             for ref, scan in zip(group, scans, strict=True)
         ]
-        if all((labels != 0).mean() > _WHOLE for labels in given):
+        whole = [bool((labels != 0).mean() > _WHOLE) for labels in given]
+        completed += [ref for ref, labelled in zip(group, whole, strict=True) if labelled]
+        if all(whole):
             continue
         log(f"the teacher labels {sequence_of(group[0])}, {group[0].name} to {group[-1].name}")
-        for ref, labels, said in zip(group, given, pseudo_labels(network, scans), strict=True):
-            path = out / folders[Path(ref.path).parent] / f"{ref.name}.label"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with atomic(path) as stream:
-                stream.write(join_labels(labels, said).tobytes())
-            completed.append(replace(ref, labels=str(path)))
+        for ref, labels, labelled, said in zip(group, given, whole, teach(network, scans), strict=True):
+            if labelled:
+                continue
+            boxes, every = join_labels(labels, said)
+            for kind, joint in (("boxes", boxes), ("all", every)) if labels.any() else (("all", every),):
+                path = out / kind / folders[Path(ref.path).parent] / f"{ref.name}.label"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with atomic(path) as stream:
+                    stream.write(joint.tobytes())
+                completed.append(replace(ref, labels=str(path)))
     return completed
 
 
-def pseudo_labels(network: FusedNetwork, scans: Sequence[Scan]) -> list[NDArray[np.uint32]]:
-    """Return SemanticKITTI labels ``(N,)`` of the scans of a group, of one drive or of many.
-
-    0 where the network is not sure, 99 where it is sure of no more than that a point is not movable.
-    """
+def teach(network: FusedNetwork, scans: Sequence[Scan]) -> list[Said]:
+    """Ask a network what it is sure of in the scans of a group, of one drive or of many."""
     found = [_twice(network, scan) for scan in scans]
     steps = steps_between(found, joined(scans), [None] * len(found))
     return [
@@ -76,13 +99,18 @@ def pseudo_labels(network: FusedNetwork, scans: Sequence[Scan]) -> list[NDArray[
     ]
 
 
-def join_labels(labels: NDArray[np.uint32], said: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Put together labels ``(N,)`` that boxes tell and what is ``said`` beside: boxes are right, but do not tell what is in no box."""
-    both = np.where(labels == 0, said, labels)
-    moves = np.isin(said, _ID[GROUP_OF_CLASS == MOVABLE])
-    static = not_movable(labels) & (said != 0) & ~moves
-    both[static] = said[static]
-    return both.astype(np.uint32)
+def join_labels(labels: NDArray[np.uint32], said: Said) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Return the labels ``(N,)`` that boxes tell, and those with what a teacher says beside.
+
+    Boxes are right, but do not tell what is in no box, nor that bicycles and motorcycles without a rider have none.
+    """
+    boxes = labels.copy()
+    boxes[not_movable(labels) & said.parked] = 0
+    every = np.where(boxes == 0, said.labels, boxes)
+    named = not_movable(boxes) & (said.labels != 0) & ~np.isin(said.labels, _ID[GROUP_OF_CLASS == MOVABLE])
+    every[named] = said.labels[named]
+    every[not_movable(labels) & said.parked] = 0
+    return boxes, every.astype(np.uint32)
 
 
 def _twice(network: FusedNetwork, scan: Scan) -> Segmentation:
@@ -94,7 +122,7 @@ def _twice(network: FusedNetwork, scan: Scan) -> Segmentation:
     return by_group(image, as_in_streets(mean))
 
 
-def _sure(found: Segmentation, n: int) -> NDArray[np.uint32]:
+def _sure(found: Segmentation, n: int) -> Said:
     seen = found.image.index >= 0
     groups, best = found.groups[:, seen], found.best[:, seen]
     labels = np.zeros(groups.shape[1], np.uint32)
@@ -104,9 +132,10 @@ def _sure(found: Segmentation, n: int) -> NDArray[np.uint32]:
         labels[sure] = _ID[best[group, sure]]
     sure = groups[MOVABLE] >= _SURE_MOVABLE
     labels[sure] = _ID[best[MOVABLE, sure]]
-    points = np.zeros(n, np.uint32)
-    points[found.image.index[seen]] = labels
-    return points
+    said = Said(np.zeros(n, np.uint32), np.zeros(n, np.bool_))
+    said.labels[found.image.index[seen]] = labels
+    said.parked[found.image.index[seen]] = (groups[MOVABLE] > _LIKELY) & np.isin(best[MOVABLE], _PARKED)
+    return said
 
 
 def _groups(refs: Sequence[ScanRef]) -> Iterator[list[ScanRef]]:
