@@ -19,10 +19,10 @@ from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS, MOVABLE, OTHE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
-from salpcc.stages.segment.class_shares import as_in_streets
-from salpcc.stages.segment.fused import FusedNetwork
+from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.labelling import joined
 from salpcc.stages.segment.objects import judge_objects
+from salpcc.stages.segment.quantised import LabellingNetwork
 from salpcc.stages.segment.registration import steps_between
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
 from salpcc.stages.segment.several_scans import agree
@@ -54,7 +54,7 @@ class Said:
 
 
 def complete_labels(
-    network: FusedNetwork, refs: Sequence[ScanRef], out: Path, log: Callable[[str], None] = print
+    network: LabellingNetwork, refs: Sequence[ScanRef], out: Path, log: Callable[[str], None] = print
 ) -> list[ScanRef]:
     """Label what nobody has labelled, and return all scans to train on.
 
@@ -89,7 +89,7 @@ def complete_labels(
     return completed
 
 
-def teach(network: FusedNetwork, scans: Sequence[Scan]) -> list[Said]:
+def teach(network: LabellingNetwork, scans: Sequence[Scan]) -> list[Said]:
     """Ask a network what it is sure of in the scans of a group, of one drive or of many."""
     found = [_twice(network, scan) for scan in scans]
     steps = steps_between(found, joined(scans), [None] * len(found))
@@ -113,13 +113,13 @@ def join_labels(labels: NDArray[np.uint32], said: Said) -> tuple[NDArray[np.uint
     return boxes, every.astype(np.uint32)
 
 
-def _twice(network: FusedNetwork, scan: Scan) -> Segmentation:
+def _twice(network: LabellingNetwork, scan: Scan) -> Segmentation:
     """What the network says of a scan and of its mirror image, in the mean."""
     image, scores = class_scores(network, scan.points, scan.intensity)
     mirrored = scan.points * np.array([1, -1, 1], np.float32)
     _, other = class_scores(network, mirrored, scan.intensity)
     mean = ((scores + other[:, ::-1]) / 2).astype(np.float32)
-    return by_group(image, as_in_streets(mean))
+    return by_group(image, mean, AS_IN_STREETS)
 
 
 def _sure(found: Segmentation, n: int) -> Said:

@@ -63,7 +63,7 @@ PHASES = (
     Phase(),
 )
 # Of weights that know streets already: streets as they are, with more of what is rare set into them.
-GOING_ON = (Phase(samples=SampleConfig(512, 0.3, 0.6, 5, (0.6, 0.25, 0.2), 0.3)),)
+GOING_ON = (Phase(samples=SampleConfig(512, 0.3, 0.7, 5, (0.5, 0.6, 0.6), 0.3)),)
 
 
 @dataclass(frozen=True)
