@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.vectors import cast, highest, inline, larger, load, smaller, store
+from salpcc.stages.predict.learned.vectors import cast, highest, inline, larger, load, smaller, store, summed
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -60,6 +60,7 @@ LOGISTIC = _logistic_table()
 _GUESSES = np.interp(
     (np.arange(256) + 0.5) / 256, LOGISTIC[:, 0], np.arange(len(LOGISTIC)) / _Z_STEPS - _Z_LIMIT
 )
+_NEWTON = 16  # steps at most
 _LAST_WEIGHT, _LAST_SCALE = np.int32(len(WEIGHTS) - 1), np.int32(len(SCALES) - 1)
 _ZERO = np.int32(0)
 
@@ -71,8 +72,8 @@ def output_places(predictors: int) -> tuple[int, ...]:
 
 
 @inline
-def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, work: I32) -> int:
-    """Turn a network's answer and the predictions into a mixture; return a heaviest component.
+def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, work: I32) -> None:
+    """Turn a network's answer and the predictions into a mixture.
 
     Args:
         sums: PLACES logits, offsets in units of the scale, log scales, all in units of ``2 ** -shift``.
@@ -87,9 +88,7 @@ def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, w
     store(work, 16, larger(smaller((load(sums, 32, 16) + low) >> fine, _LAST_SCALE), _ZERO))
     unit = 1.0 / (1 << shift)
     total = 0.0
-    best = 0
     for c in range(components):
-        best = c if work[c] == 0 else best
         weight = WEIGHTS[np.uint64(work[c])]
         mixture[_WEIGHTS + c] = weight
         total += weight
@@ -99,7 +98,6 @@ def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, w
         mixture[_INVERSES + c] = SCALES[scale, 1]
     for c in range(0, 16, 8):
         store(mixture, _WEIGHTS + c, load(mixture, _WEIGHTS + c, 8) / total)
-    return best
 
 
 @inline
@@ -136,23 +134,25 @@ def level_ends(
 
 @inline
 def find_level(
-    mixture: F64, components: int, best: int, target: int, step: int, levels: int, places: I32, parts: F64
+    mixture: F64, components: int, target: int, step: int, levels: int, places: I32, parts: F64
 ) -> tuple[int, int, int]:
     """Return the level whose interval holds ``target``, and the interval's two ends.
 
-    The search starts where component ``best`` would have it, takes Newton steps, and bisects after a few; levels only
-    ever start later than those before them, so the way does not matter.
+    The search starts at the mean of where the components have it, each by its density, and takes Newton steps; where one
+    leads out of what is left, or after many, it halves that. Levels only ever start later than those before them, so
+    the way does not matter.
     """
+    low_half = load(mixture, _WEIGHTS, 8) * load(mixture, _INVERSES, 8)
+    high_half = load(mixture, _WEIGHTS + 8, 8) * load(mixture, _INVERSES + 8, 8)
+    density = summed(0.0, low_half + high_half, 0, 8)
+    moment = low_half * load(mixture, _MEANS, 8) + high_half * load(mixture, _MEANS + 8, 8)
+    quantile = _GUESSES[np.uint64(target) >> np.uint64(BITS - 8)]
+    guess = ((summed(0.0, moment, 0, 8) + quantile) / density + 0.5) / step
     first, last = 0, levels - 1
-    scaled = 1.0 / (mixture[_INVERSES + best] * step)
-    guess = (mixture[_MEANS + best] + 0.5) / step + _GUESSES[
-        np.uint64(target) >> np.uint64(BITS - 8)
-    ] * scaled
+    level = min(max(int(min(max(guess, 0.0), 1e6)), first), last)
     tries = 0
     while True:
         tries += 1
-        level = int(min(max(guess, 0.0), 1e6)) if tries <= 8 else (first + last) >> 1
-        level = min(max(level, first), last)
         low, high = level_ends(mixture, components, level, step, levels, places, parts)
         if target < low and level > first:
             last = level - 1
@@ -161,3 +161,4 @@ def find_level(
         else:
             return level, low, high
         guess = level + ((target + 0.5) - low) / (high - low)
+        level = int(guess) if first <= guess < last + 1 and tries < _NEWTON else (first + last) >> 1

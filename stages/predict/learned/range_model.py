@@ -140,10 +140,10 @@ def _walk_ring(  # type: ignore[no-untyped-def]
             for j in range(0, width, 16):
                 store(sums, j, load(layers.tables, k * width + j, 16))
             forward(x, k, layers, h, sums)
-            best = set_mixture(sums, shift, mu, components, mixture, whole)
+            set_mixture(sums, shift, mu, components, mixture, whole)
             if mode == DECODE:
                 target = decode_target(coded.state, BITS)
-                value, low, high = find_level(mixture, components, best, target, step, number, whole, parts)
+                value, low, high = find_level(mixture, components, target, step, number, whole, parts)
                 decode_interval(coded.state, coded.data, low, high - low, BITS)
                 level[lo + i] = value
             else:

@@ -36,8 +36,8 @@ def find(
     sums: Any, shift: int, mu: Any, components: int, target: int, step: int, levels: int
 ) -> tuple[int, int, int]:
     mixture, whole, parts = np.zeros(3 * PLACES), np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES)
-    best = set_mixture(sums, shift, mu, components, mixture, whole)
-    return find_level(mixture, components, best, target, step, levels, whole, parts)
+    set_mixture(sums, shift, mu, components, mixture, whole)
+    return find_level(mixture, components, target, step, levels, whole, parts)
 
 
 def plain_start(out: np.ndarray, mu: np.ndarray, level: int, step: int, levels: int) -> int:
