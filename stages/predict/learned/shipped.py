@@ -13,6 +13,9 @@ from salpcc.stages.predict.learned.range_features import INPUTS
 
 WEIGHTS = Path(__file__).parent / "weights"
 EFFORTS = ("default", "max")
+FORMER = {
+    "default": ("default_1",)
+}  # weights that archives were written with before, by effort; they are read only
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +33,8 @@ class LearnedModels:
 
 @cache
 def load_models(effort: str) -> LearnedModels:
-    """Load the weights of ``default`` or ``max``; raises SalpccError for any other effort."""
-    if effort not in EFFORTS:
+    """Load the weights of ``default``, ``max`` or one of FORMER; raises SalpccError for any other effort."""
+    if effort not in EFFORTS and not any(effort in names for names in FORMER.values()):
         raise SalpccError(f"effort {effort!r} has no learned weights; it must be one of {', '.join(EFFORTS)}")
     ranges = load_network(WEIGHTS / f"range_{effort}.npz")
     intensity = load_network(WEIGHTS / f"intensity_{effort}.npz")

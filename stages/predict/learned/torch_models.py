@@ -113,19 +113,21 @@ def fit(kind: str, rows: Rows, recipe: Recipe, log: Callable[[str], None]) -> nn
     rng = np.random.default_rng(recipe.seed)
     net: RangeNet | IntensityNet
     if kind == "ranges":
-        net, steps, batch = (
+        net, steps, batch, rate = (
             RangeNet(recipe.range_width, recipe.range_layers, rows["x"].shape[1], rows["mu"].shape[1]),
             recipe.optimiser_steps,
             recipe.batch,
+            recipe.rate,
         )
     else:
-        net, steps, batch = (
+        net, steps, batch, rate = (
             IntensityNet(recipe.intensity_width, rows["x"].shape[1], rows["side"].shape[1]),
             recipe.intensity_steps,
             recipe.intensity_batch,
+            recipe.intensity_rate,
         )
-    optimiser = torch.optim.AdamW(net.parameters(), lr=recipe.rate, weight_decay=1e-4)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, recipe.rate, total_steps=steps, pct_start=0.1)
+    optimiser = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=1e-4)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps, pct_start=0.1)
     running = math.nan
     for step in range(steps):
         loss = net.bits(_batch(rows, rng.integers(0, len(rows["y"]), batch)))

@@ -18,7 +18,7 @@ from salpcc.stages.entropy.intervals import encode_intervals
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
-from salpcc.stages.predict.learned.shipped import EFFORTS, LearnedModels, load_models
+from salpcc.stages.predict.learned.shipped import LearnedModels, load_models
 from salpcc.stages.predict.static.coder import (
     decode_intensities,
     decode_levels,
@@ -115,5 +115,5 @@ class NetworkModels:
 
 
 def value_models(effort: str, sensor: SensorModel) -> ValueModels:
-    """Return the models of levels and intensities of an effort."""
-    return NetworkModels(sensor, load_models(effort)) if effort in EFFORTS else StaticModels(sensor)
+    """Return the models of levels and intensities of an effort, or of one of :data:`.FORMER`."""
+    return StaticModels(sensor) if effort == "fast" else NetworkModels(sensor, load_models(effort))

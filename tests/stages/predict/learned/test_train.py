@@ -13,7 +13,7 @@ from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.learned.network import load_network
 from salpcc.stages.predict.learned.range_model import decode_ranges
 from salpcc.stages.predict.learned.recipe import Recipe
-from salpcc.stages.predict.learned.train import train_coder
+from salpcc.stages.predict.learned.train import read_sweeps, train_coder
 
 from .conftest import Returns, range_stream
 
@@ -46,3 +46,16 @@ def test_more_training_makes_fewer_bytes(
 def test_no_sweeps_is_an_error(sensor: SensorModel, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no sweeps"):
         train_coder([], sensor, tmp_path)
+
+
+def test_every_scan_is_read_once(make_scan: Callable[..., Scan], sensor: SensorModel, tmp_path: Path) -> None:
+    """The simulator's scans lie in the same layout as recorded ones."""
+    folder = tmp_path / "sequences/00/velodyne"
+    folder.mkdir(parents=True)
+    for number in range(2):
+        scan = make_scan(seed=number, stride=8)
+        columns = [scan.points, scan.intensity[:, None]]
+        (folder / f"{number:06d}.bin").write_bytes(np.hstack(columns).astype("<f4").tobytes())
+    pairs = list(read_sweeps(tmp_path, sensor))
+    assert [sweep.name for sweep, _ in pairs] == ["000000", "000001"]
+    assert pairs[0][1] is None and pairs[1][1] is pairs[0][0]
