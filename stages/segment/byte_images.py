@@ -12,15 +12,19 @@ U8 = NDArray[np.uint8]
 
 
 @njit(cache=True)
-def to_bytes(features: F32, step: F32, zero: int, seam: int) -> U8:
-    """Turn features ``(H, W, C)`` into bytes ``(H, W + 2 seam, C)``, ``step`` ``(C,)`` each, and repeat columns at both ends."""
-    rows, columns, channels = features.shape
+def to_bytes(features: F32, part: tuple[int, int], step: F32, zero: int, seam: int) -> U8:
+    """Turn features ``(H, W, F)``, from and to those of ``part``, into bytes ``(H, W + 2 seam, C)``, ``step`` ``(C,)`` each.
+
+    Columns are repeated at both ends.
+    """
+    rows, columns, _ = features.shape
+    channels = len(step)
     scale = np.float32(1.0) / step
     out = np.empty((rows, columns + 2 * seam, channels), np.uint8)
     for i in range(rows):
         for j in range(columns):
             for c in range(channels):
-                value = features[i, j, c] * scale[c] + np.float32(zero + 0.5)
+                value = features[i, j, part[0] + c] * scale[c] + np.float32(zero + 0.5)
                 out[i, j + seam, c] = np.uint8(min(max(value, np.float32(0.0)), np.float32(255.0)))
         out[i, :seam] = out[i, columns : columns + seam]
         out[i, columns + seam :] = out[i, seam : 2 * seam]
