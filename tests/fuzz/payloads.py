@@ -83,9 +83,10 @@ def _aimed(folder: Path) -> list[bytes]:
     moved = redo(points.astype(np.float64), places(len(points), 16), motion).astype(np.float32)
     sweeps = [scan_to_sweep(Scan("0", p, intensity), OTHER) for p in (points, moved)]
     sweeps[1] = replace(sweeps[1], motion=motion)
-    tasks = [task for sweep in sweeps for task in (sweep, quantise(sweep, OTHER, 0.01))]
-    _crcs[folder] = [header.content_crc(task) for task in tasks]
-    return [encode_gop([task], OTHER, "fast")[0].data for task in tasks]
+    pairs = [(sweep, quantise(sweep, OTHER, 0.01)) for sweep in sweeps]
+    tasks = [(task, effort) for pair in pairs for task in pair for effort in ("fast", "default")]
+    _crcs[folder] = [header.content_crc(task) for task, _ in tasks]
+    return [encode_gop([task], OTHER, effort)[0].data for task, effort in tasks]
 
 
 def _read_aimed(which: int, data: bytes, folder: Path) -> None:
