@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 MAPS = Path("/proc/self/maps")
 # Of glibc, GCC and zlib, as libc.so.6 or libc-2.36.so.
 RUNTIME = re.compile(
-    r"(ld|ld-linux[\w-]*|libc|libdl|libm|libmvec|libpthread|librt|libgcc_s|libstdc\+\+|libz)(-[\d.]+)?\.so[\d.]*"
+    r"(ld|ld-linux[\w-]*|libc|libdl|libm|libmvec|libpthread|librt|libutil|libgcc_s|libstdc\+\+|libz)(-[\d.]+)?\.so[\d.]*"
 )
 # Modules of Python itself, which is there: what they map belongs to it (libssl, libffi, libsqlite3).
 PYTHONS_OWN = ("bz2", "ctypes", "curses", "hashlib", "lzma", "readline", "sqlite3", "ssl", "uuid", "zlib")
