@@ -35,7 +35,7 @@ class Originals:
         if facts.source not in SOURCES:
             raise UsageError(f"{reader.path}: made from {facts.source}, there are no files to compare with")
         if not SOURCES[facts.source].there(root):
-            raise UsageError(missing_root(root, facts.source))
+            raise UsageError(f"{missing_root(root, facts.source)} Pass its place to --against")
         self._files = SOURCES[facts.source]
         self.root = root
         self._config = facts.config

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -23,7 +22,7 @@ from salpcc.pipeline.schedule.progress import STDERR, Report, bar
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.config import UNBOUNDED, RunConfig
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.files import atomic, is_url
+from salpcc.schemas.files import is_url, write_json
 from salpcc.schemas.version import TOOL
 from salpcc.schemas.work import ScanError
 from salpcc.stages.evaluate.report import record
@@ -94,8 +93,7 @@ def run_sequences(request: RunRequest) -> RunResult:
         for error in missing:
             watcher.say(error.reason)
         outcomes = Graph(client, config, request.out, request.graph, watcher).run(plans)
-        with atomic(request.out / "config.json") as stream:
-            stream.write(json.dumps(config.model_dump(mode="json"), indent=1).encode() + b"\n")
+        write_json(request.out / "config.json", config.model_dump(mode="json"))
     errors = missing + [error for outcome in outcomes for error in outcome.errors]
     if not request.graph.reaches("evaluate"):
         return RunResult(None, errors)

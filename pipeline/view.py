@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -249,7 +250,31 @@ def view_in_browser(
         tell(f"{scans} scans at http://{_HERE}:{page}?url=rerun%2Bhttp://{_HERE}:{data}/proxy until Ctrl-C")
         ports = ["--port", str(data), "--web-viewer-port", str(page)]
         serve = [sys.executable, "-m", "rerun", str(file), "--web-viewer", "--bind", _HERE, *ports]
-        subprocess.run(serve, check=True, env={"RUST_LOG": "warn", **os.environ})
+        # A group of its own, that ends however this process is told to: Rerun's Python starts the server proper.
+        with (
+            _ends_when_terminated(),
+            subprocess.Popen(serve, env={"RUST_LOG": "warn", **os.environ}, start_new_session=True) as server,
+        ):
+            try:
+                if server.wait():
+                    raise subprocess.CalledProcessError(server.returncode, serve)
+            finally:
+                with suppress(ProcessLookupError):
+                    os.killpg(server.pid, signal.SIGTERM)
+
+
+@contextmanager
+def _ends_when_terminated() -> Iterator[None]:
+    """Leave by an exception when SIGTERM comes, as Python does when Ctrl-C comes."""
+
+    def leave(number: int, _: object) -> None:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _free_ports() -> list[int]:

@@ -7,6 +7,7 @@ What the two kinds cannot do alike is in this file and nowhere else.
 from __future__ import annotations
 
 import errno
+import json
 import mmap
 import os
 import shutil
@@ -140,6 +141,12 @@ def _put(part: Path, path: Path) -> None:
             fs.mv(half, name)
     except OSError as error:
         raise OSError(error.errno or errno.EIO, why(error), str(path)) from error
+
+
+def write_json(path: Path, what: object) -> None:
+    """Write a file of indented JSON, atomically."""
+    with atomic(path) as stream:
+        stream.write(json.dumps(what, indent=1).encode() + b"\n")
 
 
 def create(path: Path, content: bytes) -> None:

@@ -296,12 +296,9 @@ def localise(
     for row in rows:
         error = "-" if row["max_error"] is None else f"{1e3 * row['max_error']:.1f} mm"
         bits = "-" if row["bpp"] is None else f"{row['bpp']:.2f}"
-        figures = [
-            f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_std']:.4f}" for k in ("rotation_deg", "translation_m")
-        ]
         typer.echo(
             f"{row['sequence']:3} {row['cloud']:{wide}} {error:>8} {bits:>5} {'with' if row['movable'] else 'without':8} "
-            f"{row['method']:15} {row['pairs']:5}  {'  '.join(figures)}"
+            f"{row['method']:15} {row['pairs']:5}  {_errors_of_pose(row)}"
         )
     typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
 
@@ -327,15 +324,18 @@ def _in_maps(
         return
     typer.echo("seq map          error movables ICP             scans lost  rotation, deg    translation, m")
     for row in rows:
-        figures = [
-            "-" if row[f"{k}_mean"] is None else f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_std']:.4f}"
-            for k in ("rotation_deg", "translation_m")
-        ]
         typer.echo(
             f"{row['sequence']:3} {row['map']:10} {1e3 * row['max_error']:4.1f} mm "
-            f"{'with' if row['movable'] else 'without':8} {row['method']:15} {row['scans']:5} {row['lost']:4}  {'  '.join(figures)}"
+            f"{'with' if row['movable'] else 'without':8} {row['method']:15} {row['scans']:5} {row['lost']:4}  {_errors_of_pose(row)}"
         )
     typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
+
+
+def _errors_of_pose(row: dict[str, Any]) -> str:
+    return "  ".join(
+        "-" if row[f"{k}_mean"] is None else f"{row[f'{k}_mean']:.4f} ± {row[f'{k}_std']:.4f}"
+        for k in ("rotation_deg", "translation_m")
+    )
 
 
 def _show_trials(trials: list[dict[str, Any]], chosen: dict[str, Any]) -> None:

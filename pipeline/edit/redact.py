@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from salpcc.pipeline.edit.cut import check_new
 from salpcc.pipeline.held_poses import unpacked_poses
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import write_json
 from salpcc.schemas.labels import CLASSES, MOVABLE, known_classes
 from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.scan import Scan
@@ -140,8 +140,7 @@ def redact(
     write_archive(out, facts, _gops(reader, selection, placed), log, side)
     manifest = {"version": VERSION, "tool": TOOL, "redacted": _told(selection)} | chunk_hashes(reader)
     manifest["left"] = chunk_hashes(ArchiveReader(out))["movable"]
-    with atomic(beside) as stream:
-        stream.write(json.dumps(manifest, indent=1).encode() + b"\n")
+    write_json(beside, manifest)
     return manifest
 
 

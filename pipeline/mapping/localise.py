@@ -100,7 +100,7 @@ def _stretches(readers: Sequence[ArchiveReader], request: LocaliseRequest) -> li
     if facts.source not in SOURCES:
         raise UsageError(f"{first.path}: made from {facts.source}, there are no source scans to compare with")
     if not request.against.is_dir():
-        raise UsageError(missing_root(request.against, facts.source))
+        raise UsageError(f"{missing_root(request.against, facts.source)} Pass its place to --against")
     names = [entry.name for gop in first.gops for entry in gop]
     for reader in readers[1:]:
         for name, other in zip(names, (e.name for gop in reader.gops for e in gop), strict=False):

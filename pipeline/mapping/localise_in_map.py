@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +16,22 @@ from salpcc.pipeline.decode import decode_scans
 from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.mapping.map_poses import given_poses
 from salpcc.pipeline.mapping.map_read import read_tile_file
-from salpcc.pipeline.mapping.map_summary import FILE, frame_of_summary, read_summary
+from salpcc.pipeline.mapping.map_summary import frame_of_summary, read_summary
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.flow import each
 from salpcc.pipeline.schedule.lock import locked
 from salpcc.pipeline.schedule.progress import bar
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
-from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report.schema import LOCALISATION
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.mapping.deskew import motions_of
-from salpcc.stages.mapping.gather import in_range, still
+from salpcc.stages.mapping.gather import in_range, movable_of, still
 from salpcc.stages.mapping.in_map import Surroundings
-from salpcc.stages.mapping.registration import Method, rotation_error, translation_error
+from salpcc.stages.mapping.registration import METHODS, rotation_error, translation_error
 from salpcc.stages.mapping.tiles import Tile
 from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
@@ -41,7 +39,6 @@ from salpcc.stages.residual_code.archive.reader import ArchiveReader
 F64 = NDArray[np.float64]
 
 VERSION = 1
-_METHODS: dict[str, Method] = {"point to point": "point", "point to plane": "plane"}
 
 
 @dataclass(frozen=True)
@@ -186,26 +183,25 @@ def localise_group(
             continue
         near = in_range(scan.points, taken)
         points = still(scan, motion if scan.motion is None else np.zeros(6))
-        movable = _movable(scan)
+        movable = movable_of(scan)
         for with_movable in (True, False) if movable is not None else (True,):
             kept = near if with_movable or movable is None else near & ~movable
-            for path, surroundings in zip(maps, around, strict=True):
-                for title, method in _METHODS.items():
-                    found = None
-                    if surroundings is not None:
-                        found = surroundings.localise(points[kept], start, method)
-                    rows.append(
-                        {
-                            "sequence": sequence,
-                            "scan": scan.name,
-                            "map": path.name,
-                            "max_error": config.get("max_error") or 0.0,
-                            "movable": with_movable,
-                            "method": title,
-                            "rotation_deg": None if found is None else rotation_error(found, pose),
-                            "translation_m": None if found is None else translation_error(found, pose),
-                        }
-                    )
+            for (path, surroundings), (title, method) in product(
+                zip(maps, around, strict=True), METHODS.items()
+            ):
+                found = None if surroundings is None else surroundings.localise(points[kept], start, method)
+                rows.append(
+                    {
+                        "sequence": sequence,
+                        "scan": scan.name,
+                        "map": path.name,
+                        "max_error": config.get("max_error") or 0.0,
+                        "movable": with_movable,
+                        "method": title,
+                        "rotation_deg": None if found is None else rotation_error(found, pose),
+                        "translation_m": None if found is None else translation_error(found, pose),
+                    }
+                )
     store.write(
         ref,
         pa.Table.from_pylist(rows, schema=LOCALISATION),
@@ -216,7 +212,7 @@ def localise_group(
 
 def _surroundings(path: Path, places: F64, frame: Frame, reach: float) -> Surroundings | None:
     """Read what a map has within reach of any of some places ``(n, 3)``, in the frame of the first map."""
-    summary = json.loads((path / FILE).read_text())
+    summary = read_summary(path)
     own, size = frame_of_summary(summary), float(summary["config"]["tile"])
     shift = np.array(own.origin) - np.array(frame.origin)
     parts = []
@@ -224,10 +220,3 @@ def _surroundings(path: Path, places: F64, frame: Frame, reach: float) -> Surrou
         if min(Tile.named(name).distance(place - shift, size) for place in places) < reach:
             parts.append(read_tile_file(path, name, own).xyz - np.array(frame.origin))
     return Surroundings.of(np.concatenate([np.empty((0, 3)), *parts]))
-
-
-def _movable(scan: Scan) -> NDArray[np.bool_] | None:
-    """Mark what of a scan may move, None where nothing tells."""
-    if scan.movable is not None:
-        return scan.movable
-    return None if scan.classes is None else np.asarray(GROUP_OF_CLASS[scan.classes] == MOVABLE)

@@ -21,11 +21,11 @@ from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.report.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.mapping.deskew import deskewed, motion_of, turns_before
-from salpcc.stages.mapping.registration import Method, icp, rotation_error, translation_error
+from salpcc.stages.mapping.gather import movable_of
+from salpcc.stages.mapping.registration import METHODS, icp, rotation_error, translation_error
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 VERSION = 3  # 3: raw scans de-skewed, too
-_METHODS: dict[str, Method] = {"point to point": "point", "point to plane": "plane"}
 _ROUNDS = 12  # of halving, to find the error at which a rival takes as many bits
 
 
@@ -113,7 +113,7 @@ def register_stretch(stretch: Stretch, rivals: Sequence[Rival], thin: int, out: 
             for movable in (True, False) if known_classes else (True,):
                 target = before.registered(movable)
                 source_points = after.registered(movable)[::thin]
-                for title, method in _METHODS.items():
+                for title, method in METHODS.items():
                     # The same points give the same pose: what is bit-exact is registered once.
                     key = (zlib.crc32(target.tobytes()), zlib.crc32(source_points.tobytes()), method)
                     if key not in known:
@@ -175,10 +175,9 @@ def _deskewed(cloud: _Cloud, motion: NDArray[np.float64]) -> _Cloud:
 
 def _known_movable(archive: Archive, scan: Scan) -> NDArray[np.bool_] | None:
     """Mark the points of a decoded scan that may move, None where nothing tells."""
-    if scan.movable is not None:
-        return scan.movable
-    if scan.classes is not None:
-        return _movable(scan)
+    known = movable_of(scan)
+    if known is not None:
+        return known
     return None if archive.movable == "one layer" else np.zeros(len(scan), np.bool_)
 
 

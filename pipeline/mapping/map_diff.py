@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.mapping.map_export import with_columns
-from salpcc.pipeline.mapping.map_frame import Frame
+from salpcc.pipeline.mapping.map_frame import Frame, box_around
 from salpcc.pipeline.mapping.map_read import read_tile_file
 from salpcc.pipeline.mapping.map_summary import frame_of_summary, read_summary
 from salpcc.pipeline.mapping.map_write import read_track
 from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import atomic, write_json
 from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.version import TOOL
 from salpcc.stages.mapping.difference import (
@@ -31,7 +30,6 @@ from salpcc.stages.mapping.difference import (
     turned,
 )
 from salpcc.stages.mapping.picture import difference_picture
-from salpcc.stages.mapping.tiles import Box
 from salpcc.stages.mapping.voxel import SYNTHETIC, Voxels
 
 F64 = NDArray[np.float64]
@@ -102,8 +100,7 @@ def diff(before: Path, after: Path, out: Path) -> dict[str, Any]:
         "changes": rows,
     }
     _write(out, gone, appeared, rows, frame)
-    with atomic(out / "diff.json") as stream:
-        stream.write(json.dumps(summary, indent=1).encode() + b"\n")
+    write_json(out / "diff.json", summary)
     return summary
 
 
@@ -130,7 +127,7 @@ def _rows(gone: _Side, appeared: _Side, frame: Frame) -> list[dict[str, Any]]:
     moved = moved_objects(old, new)
     rows = [
         _row(MOVED, m.gone + 1, old[m.gone], frame)
-        | {"to": m.appeared + 1, "to_box": _box(new[m.appeared], frame), "way_m": round(m.way, 3)}
+        | {"to": m.appeared + 1, "to_box": box_around(new[m.appeared].xyz, frame), "way_m": round(m.way, 3)}
         for m in moved
     ]
     for kind, objects, taken in (
@@ -146,19 +143,13 @@ def _rows(gone: _Side, appeared: _Side, frame: Frame) -> list[dict[str, Any]]:
 
 
 def _row(change: str, number: int, voxels: Voxels, frame: Frame) -> dict[str, Any]:
-    kind = CLASSES[int(np.bincount(voxels.classes).argmax())].name
     return {
         "change": change,
         "object": number,
-        "class": kind,
+        "class": CLASSES[voxels.kind].name,
         "voxels": len(voxels),
-        "box": _box(voxels, frame),
+        "box": box_around(voxels.xyz, frame),
     }
-
-
-def _box(voxels: Voxels, frame: Frame) -> list[float]:
-    box = Box.around(voxels.xyz).moved(frame.origin)
-    return [round(value, 3) for value in (*box.low, *box.high)]
 
 
 def _write(out: Path, gone: _Side, appeared: _Side, rows: list[dict[str, Any]], frame: Frame) -> None:

@@ -45,7 +45,7 @@ class Restored:
 
     def told(self) -> dict[str, list[Any]]:
         """Return what ``map.json`` says of it."""
-        return {"objects": list(self.objects), "boxes": [[*box.low, *box.high] for box in self.boxes]}
+        return {"objects": list(self.objects), "boxes": [list(box.numbers) for box in self.boxes]}
 
     def marks(self, explained: Explained, origin: Sequence[float]) -> NDArray[np.bool_]:
         """Mark for each object, then each box ``(K, M)``, the entries of a tile that it puts back."""
@@ -116,7 +116,7 @@ def _read(store: ShardStore, tile: TileResult) -> Explained:
 
 def _refuse_nothing(out: Path, restored: Restored, counts: NDArray[np.int64]) -> None:
     what = [f"object {number}" for number in restored.objects]
-    what += [",".join(f"{v:g}" for v in (*box.low, *box.high)) for box in restored.boxes]
+    what += [",".join(f"{v:g}" for v in box.numbers) for box in restored.boxes]
     for name, count in zip(what, counts, strict=True):
         if not count:
             raise UsageError(

@@ -16,7 +16,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from salpcc.pipeline.mapping.map_export import with_columns
-from salpcc.pipeline.mapping.map_frame import Frame
+from salpcc.pipeline.mapping.map_frame import Frame, box_around
 from salpcc.pipeline.mapping.map_store import TILE, built_to_table, table_to_built
 from salpcc.pipeline.mapping.map_tiles import TileResult, figures_of, read_tile
 from salpcc.pipeline.schedule.store import ShardStore
@@ -26,7 +26,6 @@ from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT, Built
 from salpcc.stages.mapping.clusters import objects_of
 from salpcc.stages.mapping.picture import removed_picture
-from salpcc.stages.mapping.tiles import Box
 
 F64 = NDArray[np.float64]
 
@@ -163,15 +162,14 @@ def table_of(removed: Built, objects: NDArray[np.uint32], frame: Frame) -> list[
 
 
 def _row(removed: Built, number: int, frame: Frame) -> dict[str, Any]:
-    box = Box.around(removed.voxels.xyz).moved(frame.origin)
     against = removed.against
     return {
         "object": number,
-        "class": CLASSES[int(np.bincount(removed.voxels.classes).argmax())].name,
+        "class": CLASSES[removed.voxels.kind].name,
         "voxels": len(against),
         "seen_through": int(np.count_nonzero(against & CARVED)),
         "of_movable_class": int(np.count_nonzero(against & DROPPED)),
         "among_movable": int(np.count_nonzero(against & OBJECT)),
         "score": round(float(score_of(removed).mean()), 3),
-        "box": [round(value, 3) for value in (*box.low, *box.high)],
+        "box": box_around(removed.voxels.xyz, frame),
     }

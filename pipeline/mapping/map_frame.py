@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.export.las import intensity_factors
+from salpcc.stages.mapping.tiles import Box
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,11 @@ class Frame:
     origin: tuple[float, float, float]
     factor: int
     crs: str | None = None
+
+
+def box_around(xyz: NDArray[np.float64], frame: Frame) -> list[float]:
+    """Return the box x0, y0, z0, x1, y1, z1 around places ``(N, 3)`` of a map, in the frame of its poses, to the millimetre."""
+    return [round(value, 3) for value in Box.around(xyz).moved(frame.origin).numbers]
 
 
 def frame_of(origin: tuple[float, float, float], archive: Path, crs: str | None) -> Frame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import laspy
 import numpy as np
 
 from salpcc.pipeline.export.las import coordinate_system
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import write_json
 
 INDEX = "map.vpc"
 _EXTENSIONS = (
@@ -28,10 +27,7 @@ def write_index(out: Path, tiles: Sequence[Path], crs: str | None) -> None:
     What it says of a tile, it reads from the header of its file.
     """
     features = [_item(out, path, crs) for path in tiles]
-    with atomic(out / INDEX) as stream:
-        stream.write(
-            json.dumps({"type": "FeatureCollection", "features": features}, indent=1).encode() + b"\n"
-        )
+    write_json(out / INDEX, {"type": "FeatureCollection", "features": features})
 
 
 def _item(out: Path, path: Path, crs: str | None) -> dict[str, Any]:

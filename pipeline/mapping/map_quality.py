@@ -70,7 +70,7 @@ def labelled(plan: MapPlan, root: Path) -> list[tuple[ScanRef, ...]]:
             if source not in SOURCES:
                 raise UsageError(f"{group.archive}: made from {source}, there are no labels to compare with")
             if not root.is_dir():
-                raise UsageError(missing_root(root, source))
+                raise UsageError(f"{missing_root(root, source)} Pass its place to --against")
             by_archive[group.archive] = {r.name: r for r in SOURCES[source].scans(root, group.sequence)}
         refs = by_archive[group.archive]
         for name in group.names:

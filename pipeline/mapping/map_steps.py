@@ -29,10 +29,10 @@ from salpcc.pipeline.schedule.progress import Report
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.mapping.agree import Agreement
-from salpcc.stages.mapping.deskew import motions_of
+from salpcc.stages.mapping.deskew import fastest, motions_of
 from salpcc.stages.mapping.refine import PoseCheck
 from salpcc.stages.mapping.score import Tally
-from salpcc.stages.mapping.tune import Trial, stretch_of
+from salpcc.stages.mapping.tune import STRETCH, Trial
 
 _TURN = 5.0  # metres that a scan is moved by at most when it is de-skewed
 
@@ -100,7 +100,9 @@ def _refuse_foreign(plan: MapPlan, agreements: Sequence[Agreement]) -> None:
 
 def tune_all(client: Client, plan: MapPlan, found: Track, request: MapRequest, report: Report) -> list[Trial]:
     """Try settings of the carving on the stretch where one drove farthest; return them, the best first."""
-    part = stretch_of(motions_of(found.poses, [number for group in plan.groups for number in group.numbers]))
+    part = fastest(
+        motions_of(found.poses, [number for group in plan.groups for number in group.numbers]), STRETCH
+    )
     ends = np.cumsum([len(group.names) for group in plan.groups])
     names = [name for group in plan.groups for name in group.names]
     groups = [
@@ -125,15 +127,16 @@ def gather_all(
         UsageError: none does.
     """
     submaps: dict[int, Submap] = {}
-    chosen = [group for group, _ in near(plan, found, request)]
+    chosen = list(near(plan, found, request))
     if not chosen:
         raise UsageError(_nowhere(plan, found, request))
-    report.advance(plan.n_scans - sum(len(group.names) for group in chosen), f"{plan.sequence}: placed")
-    work = [(group, *found.of(own), request.config, request.out) for group, own in near(plan, found, request)]
-    for at, submap in each(client, gather_group, work, [f"gather-{group.number:05d}" for group in chosen]):
+    report.advance(plan.n_scans - sum(len(group.names) for group, _ in chosen), f"{plan.sequence}: placed")
+    work = [(group, *found.of(own), request.config, request.out) for group, own in chosen]
+    for at, submap in each(client, gather_group, work, [f"gather-{group.number:05d}" for group, _ in chosen]):
         submaps[at] = submap
-        names = chosen[at].names
-        report.advance(len(names), f"{chosen[at].sequence}: gathered scans {names[0]} to {names[-1]}")
+        group, _ = chosen[at]
+        names = group.names
+        report.advance(len(names), f"{group.sequence}: gathered scans {names[0]} to {names[-1]}")
     return [submaps[at] for at in range(len(work))]
 
 

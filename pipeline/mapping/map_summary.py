@@ -11,7 +11,7 @@ from typing import Any
 from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.pipeline.mapping.map_tiles import TileResult
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import write_json
 from salpcc.schemas.work import ShardRef
 from salpcc.stages.mapping.tiles import Tile
 
@@ -20,8 +20,7 @@ FILE = "map.json"
 
 def write_summary(out: Path, summary: Mapping[str, Any]) -> None:
     """Write ``OUT/map.json``; inverse: :func:`read_summary`."""
-    with atomic(out / FILE) as stream:
-        stream.write(json.dumps(summary, indent=1).encode() + b"\n")
+    write_json(out / FILE, summary)
 
 
 def read_summary(out: Path) -> dict[str, Any]:

@@ -47,7 +47,10 @@ def plan_run(
     with suppress(FileNotFoundError):
         root.stat()  # where a URL cannot be reached, this says so; is_dir() would only deny
     if not source.there(root):
-        raise UsageError(missing_root(root, config.source))
+        raise UsageError(
+            f"{missing_root(root, config.source)} Pass --root DIR, or try it without data: "
+            "salpcc-pipeline run sequences 00,01 --source simulated"
+        )
     plans: list[SequencePlan] = []
     missing: list[ScanError] = []
     for sequence in sequences:
@@ -92,11 +95,8 @@ def _check_apart(out: Path, folder: Path | None) -> None:
 
 
 def missing_root(root: Path, source: str) -> str:
-    """The one line that a missing data root is answered with."""
-    return (
-        f"data root {root} not found. {SOURCES[source].hint}. "
-        "Pass --root DIR, or try it without data: salpcc-pipeline run sequences 00,01 --source simulated"
-    )
+    """Begin the one line that a missing data root is answered with; the remedy follows it."""
+    return f"data root {root} not found. {SOURCES[source].hint}."
 
 
 def select(refs: list[ScanRef], frames: tuple[int, int] | None) -> list[ScanRef]:

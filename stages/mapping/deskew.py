@@ -65,6 +65,14 @@ def motions_of(poses: F64, numbers: Sequence[int]) -> F64:
     return out
 
 
+def fastest(motions: F64, length: int) -> slice:
+    """Choose the stretch of ``length`` scans, or all if there are fewer, on which one drove farthest, by motions ``(n, 6)``."""
+    speed = np.linalg.norm(motions[:, :3], axis=1)
+    ways = [speed[at : at + length].sum() for at in range(max(1, len(speed) - length + 1))]
+    at = int(np.argmax(ways))
+    return slice(at, min(at + length, len(speed)))
+
+
 def motion_of(step: F64, turns: float) -> F64:
     """Return the motion ``(6,)`` per turn that takes a pose ``step`` on in ``turns``; inverse of :func:`step_of`.
 

@@ -157,7 +157,7 @@ class _Shape:
     def of(cls, voxels: Voxels) -> _Shape:
         middle = voxels.xyz.mean(axis=0)
         spread = np.linalg.svd((voxels.xyz - middle) / np.sqrt(len(voxels)), compute_uv=False)
-        return cls(middle, spread, int(np.bincount(voxels.classes).argmax()), len(voxels))
+        return cls(middle, spread, voxels.kind, len(voxels))
 
     def like(self, other: _Shape) -> bool:
         room = np.maximum(_SLACK, _ALIKE * np.maximum(self.spread, other.spread))

@@ -82,6 +82,13 @@ def in_range(points: NDArray[np.float32], config: MapConfig) -> NDArray[np.bool_
         return np.asarray((square >= config.min_range**2) & (square <= config.max_range**2))
 
 
+def movable_of(scan: Scan) -> NDArray[np.bool_] | None:
+    """Mark the points ``(N,)`` of a scan that may move, None where nothing tells."""
+    if scan.movable is not None:
+        return scan.movable
+    return None if scan.classes is None else np.asarray(GROUP_OF_CLASS[scan.classes] == MOVABLE)
+
+
 def standing(scan: Scan, config: MapConfig) -> NDArray[np.bool_]:
     """Mark the points ``(N,)`` of a scan to register by: in range, and of nothing that its classes call movable."""
     kept = in_range(scan.points, config)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.mapping.deskew import motions_of
+from salpcc.stages.mapping.deskew import fastest, motions_of
 from salpcc.stages.mapping.odometry import Registered, Thinned, follow
 from salpcc.stages.mapping.refine import residual
 
@@ -39,13 +39,9 @@ def moved_already(
     """
     poses = np.array([scan.pose for scan in found])
     motions = motions_of(poses, numbers)
-    speed = np.linalg.norm(motions[:, :3], axis=1)
-    last = max(1, len(speed) - _STRETCH + 1)
-    ways = [speed[at : at + _STRETCH].mean() for at in range(last)]
-    at = int(np.argmax(ways))
-    if ways[at] < _SLOW:
+    part = fastest(motions, _STRETCH)
+    if np.linalg.norm(motions[part, :3], axis=1).mean() < _SLOW:
         return False
-    part = slice(at, at + _STRETCH)
     skewed = [cloud() for cloud in clouds[part]]
     if any(cloud.compensated for cloud in skewed):
         return False  # some tell their motion, and need no guess

@@ -11,6 +11,7 @@ from salpcc.stages.mapping.open3d_library import load_open3d
 
 F64 = NDArray[np.float64]
 Method = Literal["point", "plane"]
+METHODS: dict[str, Method] = {"point to point": "point", "point to plane": "plane"}  # as tables call them
 
 ROUNDS = 200  # of ICP, as in the paper
 REACH = 1.0  # metres, farther pairs do not count

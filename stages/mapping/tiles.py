@@ -58,6 +58,11 @@ class Box:
         x0, y0, z0, x1, y1, z1 = map(float, numbers)
         return cls((x0, y0, z0), (x1, y1, z1))
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Its six numbers; inverse of :meth:`of`."""
+        return *self.low, *self.high
+
     @classmethod
     def around(cls, xyz: F64) -> Box:
         """Return the box around at least one point ``(N, 3)``."""

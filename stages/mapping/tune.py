@@ -82,11 +82,3 @@ def best(trials: Sequence[Trial], before: Carving) -> Carving:
     if not trials or (own is not None and own.aa >= trials[0].aa - _HARDLY):
         return before
     return trials[0].carving
-
-
-def stretch_of(motions: F64) -> slice:
-    """Choose the stretch of a drive ``(n, 6)`` on which it is tuned: where one drove farthest."""
-    speed = np.linalg.norm(motions[:, :3], axis=1)
-    ways = [speed[at : at + STRETCH].sum() for at in range(max(1, len(speed) - STRETCH + 1))]
-    at = int(np.argmax(ways))
-    return slice(at, min(at + STRETCH, len(speed)))

@@ -48,6 +48,11 @@ class Voxels:
         """Pick entries."""
         return Voxels(*(getattr(self, field.name)[which] for field in fields(self)))
 
+    @property
+    def kind(self) -> int:
+        """The class that most entries are of, as :attr:`classes`; there is at least one."""
+        return int(np.bincount(self.classes).argmax())
+
     @classmethod
     def of_points(cls, xyz: F64, intensity: NDArray[np.float32], classes: NDArray[np.uint8] | None) -> Voxels:
         """Take the points of one scan, not fused yet. Without classes all are unlabelled."""

@@ -71,7 +71,7 @@ def test_missing_source_scan_is_found(done: Path, root: Path) -> None:
 
 
 def test_missing_root_and_arrays_are_wrong_use(done: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="not found"):
+    with pytest.raises(UsageError, match=r"nowhere not found.* Pass its place to --against$"):
         verify(done / "archives" / "00.mcap", tmp_path / "nowhere")
     scan = Scan("0", np.zeros((5, 3), np.float32), np.zeros(5, np.float32))
     with pytest.raises(UsageError, match="no files"):

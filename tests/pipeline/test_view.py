@@ -2,7 +2,6 @@
 
 import os
 import re
-import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -185,4 +184,6 @@ def test_a_browser_shows_the_scans(archive: Path, tmp_path: Path, browser: Any) 
                 browser.wait_for_timeout(250)
             assert (most > 200).all()
         finally:
-            os.killpg(shown.pid, signal.SIGINT)  # as Ctrl-C does: the viewer's server ends, too
+            shown.terminate()  # the viewer's server ends, too
+    with pytest.raises(OSError), urlopen(address.split("?")[0]):
+        pass

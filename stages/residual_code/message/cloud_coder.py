@@ -18,8 +18,8 @@ from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layo
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.residual_code.message.field_coder import Points
 from salpcc.stages.residual_code.message.field_modes import FieldModes
+from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.strays.timeline import Timeline
 
 _WHOLE, _ROS1, _CHANNEL, _LOOSE = (

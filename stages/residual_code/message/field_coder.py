@@ -6,8 +6,6 @@ A record is self-contained: how the field was taken, then its stream. Constant f
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,129 +37,35 @@ from salpcc.stages.entropy.number_forms import (
     to_scale,
 )
 from salpcc.stages.entropy.symbols import decode_symbols, encode_symbols
-from salpcc.stages.lattice.aim import lies_on
-from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.blended_values import (
     MOST,
-    Around,
     decode_blended,
     encode_blended,
 )
 from salpcc.stages.residual_code.message.column_values import decode_columns, encode_columns, find_shifts
 from salpcc.stages.residual_code.message.firing_times import (
     Clocked,
-    Fired,
     decode_times,
     encode_times,
     find_times,
-    fired_by,
 )
 from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
 from salpcc.stages.residual_code.message.learned_values import LearnedField
-from salpcc.stages.strays.timeline import LASERS, Timeline
+from salpcc.stages.residual_code.message.points import FIRED, GUIDED, LISTED, ROWS, Points
 
 CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD, BLENDED, LEARNED = range(9)
 _RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, period, length
 _BY_LASER = struct.Struct("<I")  # length
 _TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
 _BLENDED = struct.Struct("<BBBI")  # what lies around, form, scale, length
-# What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide.
-_LISTED, _FIRED, _ROWS, _GUIDED = range(4)
 _TOLD = struct.Struct("<BBq")  # form, power of ten, origin
 _COLUMNS = struct.Struct("<BqII")  # void, origin, lengths of shifts and values
-_CLOSE = 0.002  # metres from the lattice
 _FEWEST = 500  # values; delays, shifts and the like of fewer cost more than they save
 _WORTH_IT = 0.05  # bits a value; fields that take less are left
 _SAMPLE = 1 << 16
 Values = NDArray[Any]
 Integers = NDArray[np.int64]
 _Way = tuple[int, int, int, int, int, int]  # form, scale, based, void, predictor, period
-
-
-@dataclass(frozen=True)
-class Points:
-    """What encoder and decoder know of the points before their fields.
-
-    Attributes:
-        xyz: ``(N, 3)`` float32 as decoded.
-        void: ``(N,)`` whether a point has no return: all zeros, or NaN.
-        ranges: ``(N,)`` float64, distance from the sensor in metres, 0 where void.
-        periods: distances at which fields may repeat.
-        width: of a row of an organised cloud, else 0.
-        sensor: whose lattice they may lie on.
-        told: lasers and times of the points, where these are known.
-        guide: a column ``(N,)`` int64 that the field may follow from, where one is known.
-    """
-
-    xyz: NDArray[np.float32]
-    void: NDArray[np.bool_]
-    ranges: NDArray[np.float64]
-    periods: tuple[int, ...]
-    width: int = 0
-    sensor: SensorModel | None = None
-    told: Timeline | None = None
-    guide: Integers | None = None
-
-    @classmethod
-    def of(
-        cls,
-        xyz: NDArray[np.float32],
-        width: int,
-        sensor: SensorModel | None = None,
-        told: Timeline | None = None,
-    ) -> Points:
-        """Derive it from decoded points; ``width`` is that of a row of an organised cloud, else 0."""
-        wide = xyz.astype(np.float64)
-        with np.errstate(invalid="ignore", over="ignore"):
-            squares = (wide[:, 0] * wide[:, 0] + wide[:, 1] * wide[:, 1]) + wide[:, 2] * wide[:, 2]
-            void = ~((squares > 0) & (squares < 1e12))
-        ranges = np.sqrt(np.where(void, 0.0, squares))
-        periods = (1, width, 4 * width) if width > 1 else (1, 16, 32, 64, 128)
-        return cls(xyz, void, ranges, periods, width, sensor, told)
-
-    @cached_property
-    def fired(self) -> Fired | None:
-        """Lasers and ticks of the points, of which none are known where lasers are told; None without a sensor."""
-        if self.told is not None:
-            laser = self.told.laser.astype(np.int64)
-            return Fired(laser, np.zeros_like(laser), np.zeros(LASERS + 1, np.int64), 1)
-        return None if self.sensor is None else fired_by(self.sensor, self.xyz)
-
-    def of_rows(self, values: Values) -> bool:
-        """Whether values ``(N,)`` are of an organised cloud, and wide enough to follow from its columns."""
-        return values.dtype.itemsize >= 2 and self.width > 1 and len(values) % self.width == 0
-
-    def around(self, what: int) -> Around | None:
-        """What values are blended from; None where it is not known."""
-        n, nobody, guide = len(self.void), np.full(2, -1), np.zeros(0, np.int64)
-        if what >= _GUIDED:
-            if self.guide is None:
-                return None
-            what, guide = what - _GUIDED, self.guide
-        if what == _ROWS:
-            width = self.width if self.width > 1 else 0
-            lasers = np.zeros(1, np.int64)
-            return (self.void, self.ranges, width, lasers, nobody, nobody, guide) if width else None
-        if what == _LISTED:
-            return self.void, self.ranges, 0, np.zeros(n, np.int64), nobody, nobody, guide
-        if self.fired is None:
-            return None
-        above, below = np.full(self.fired.lasers + 1, -1), np.full(self.fired.lasers + 1, -1)
-        if self.sensor is not None:
-            order = np.argsort(-self.sensor.theta, kind="stable")[: self.fired.lasers]
-            above[order[1:]], below[order[:-1]] = order[:-1], order[1:]
-        return self.void, self.ranges, 0, self.fired.laser, above, below, guide
-
-    def ticks(self, what: int) -> tuple[Integers | None, int]:
-        """Ticks ``(N,)`` of points, and those in a turn, where what lies around is of lasers that tell them; else None."""
-        if what % _GUIDED != _FIRED or self.told is not None or self.fired is None:
-            return None, 0
-        return self.fired.tick, self.fired.ticks
-
-    @cached_property
-    def on_lattice(self) -> bool:
-        """Whether lasers and ticks mean anything; to be asked by a writer only."""
-        return self.told is not None or (self.sensor is not None and lies_on(self.sensor, self.xyz, _CLOSE))
 
 
 def encode_field(
@@ -173,12 +77,9 @@ def encode_field(
         base: values of the same type that it is close to, such as the coordinate it was rounded from.
         learned: of this field before, for efforts above ``fast``.
     """
-    bits = to_bits(values)
-    if len(values) == 0 or (bits == bits[0]).all():
-        return bytes([CONSTANT]) + values[:1].tobytes().ljust(values.dtype.itemsize, b"\0")
-    told = _encode_told(values, points)
-    if told is not None:
-        return told
+    known = _encode_known(values, points)
+    if known is not None:
+        return known
     width = 8 * values.dtype.itemsize
     best: tuple[int, _Way, Integers] | None = None
     for form, scale, based, integers in _forms(values, points, base):
@@ -222,6 +123,9 @@ def encode_like(
     Args:
         base, learned: as for :func:`encode_field`.
     """
+    known = _encode_known(values, points)
+    if known is not None:
+        return known
     form = record[0]
     if form in (RESIDUALS, SYMBOLS):
         return _like_record(form, _RECORD.unpack_from(record, 1)[:6], values, points, base)
@@ -313,6 +217,14 @@ def _times_record(spans: Spans, clocked: Clocked, stream: bytes) -> bytes:
     return bytes([TIMES]) + head + delays + stream
 
 
+def _encode_known(values: Values, points: Points) -> bytes | None:
+    """A field that costs nothing: of one value, or the times that the points tell; None where it is another."""
+    bits = to_bits(values)
+    if len(values) == 0 or (bits == bits[0]).all():
+        return bytes([CONSTANT]) + values[:1].tobytes().ljust(values.dtype.itemsize, b"\0")
+    return _encode_told(values, points)
+
+
 def _encode_told(values: Values, points: Points) -> bytes | None:
     """The field that the times of the points are of; None where it is another."""
     if points.told is None or values.dtype.itemsize < 4:
@@ -346,8 +258,8 @@ def _encode_columns_as(shifts: Integers, void: int, values: Values, points: Poin
 
 def _encode_blended(values: Values, points: Points, learned: LearnedField | None) -> bytes | None:
     """A field that looks like a picture; None where its values are no whole numbers, or too large."""
-    ways = [_ROWS] * (points.width > 1) + [_FIRED] * points.on_lattice or [_LISTED]
-    return _encode_blended_as([*ways, *(way + _GUIDED for way in ways)], values, points, learned)
+    ways = [ROWS] * (points.width > 1) + [FIRED] * points.on_lattice or [LISTED]
+    return _encode_blended_as([*ways, *(way + GUIDED for way in ways)], values, points, learned)
 
 
 def _encode_blended_as(
@@ -384,7 +296,7 @@ def _decode_blended(
     data: bytes, at: int, kind: np.dtype[Any], points: Points, learned: LearnedField | None = None
 ) -> tuple[Values, int]:
     (what, form, scale, length), at = _unpacked(_BLENDED, data, at)
-    around = points.around(what) if what <= _ROWS + _GUIDED else None
+    around = points.around(what) if what <= ROWS + GUIDED else None
     sound = form == (DECIMAL if kind.kind == "f" else BITS) and scale < len(SCALES)
     if around is None or not sound or at + length > len(data):
         raise ArchiveError("payload does not decode")

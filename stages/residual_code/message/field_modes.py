@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from salpcc.stages.residual_code.message.field_coder import (
     LEARNED,
-    Points,
     decode_field,
     encode_field,
     encode_like,
     learned_way,
 )
 from salpcc.stages.residual_code.message.learned_values import LearnedField
+from salpcc.stages.residual_code.message.points import Points
 
 _MOST = 64  # fields of a group that are learned; the others are coded as ``fast`` does
 _MORE, _SLACK = 1.05, 0.05  # times as many bits a value as when it was searched for; bits a value
@@ -64,7 +64,7 @@ class FieldModes:
         learned: LearnedField | None,
     ) -> bytes:
         record, of = self._found.get(name, (b"", 0))
-        if record and len(values) and not (values[1:] == values[:-1]).all():
+        if record and len(values):
             coded = encode_like(record, values, points, base, learned)
             if coded is not None and self._pays(len(coded), len(values), len(record), of):
                 return coded

@@ -18,8 +18,9 @@ from salpcc.stages.ingest.point_cloud import intensity_of
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode_cloud, points_of
-from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
+from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.field_modes import FieldModes
+from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.strays.timeline import Timeline
 
 _REFLECTIVITY = "reflectivity"

@@ -33,6 +33,18 @@ def _bucket(distance: float, reach: float) -> int:
     return bucket
 
 
+@njit(cache=True, _nrt=False, inline="always")
+def _boundary(rounding: int, value: np.float64) -> tuple[np.float64, np.int8]:
+    """Distance of a coordinate to the boundary of a rounding, and the step across it."""
+    return millimetre_boundary(value) if rounding == MILLIMETRE else float32_boundary(value)
+
+
+@njit(cache=True, _nrt=False, inline="always")
+def _digits(code: np.int64) -> tuple[np.int64, np.int64, np.int64]:
+    """The corrections, -1 to 1, of the three coordinates of a code."""
+    return code // 9 - 1, code // 3 % 3 - 1, code % 3 - 1
+
+
 @uncounted
 def _boundaries(
     rounding: int,
@@ -42,12 +54,8 @@ def _boundaries(
     step: NDArray[np.int8],
 ) -> None:
     """Fill distances and steps, ``(N,)`` each, of coordinates from ``values[start]`` on."""
-    if rounding == MILLIMETRE:
-        for j in range(len(distance)):
-            distance[j], step[j] = millimetre_boundary(values[start + j])
-    else:
-        for j in range(len(distance)):
-            distance[j], step[j] = float32_boundary(values[start + j])
+    for j in range(len(distance)):
+        distance[j], step[j] = _boundary(rounding, values[start + j])
 
 
 @njit(cache=True)
@@ -56,15 +64,10 @@ def correction_reach(rounding: int, points: NDArray[np.float64], codes: NDArray[
     reach = -1.0
     for i in range(len(codes)):
         if codes[i] != _NONE:
-            code = np.int64(codes[i])
-            digits = (code // 9 - 1, code // 3 % 3 - 1, code % 3 - 1)
+            digits = _digits(np.int64(codes[i]))
             for c in range(3):
                 if digits[c] != 0:
-                    if rounding == MILLIMETRE:
-                        distance, _ = millimetre_boundary(points[i, c])
-                    else:
-                        distance, _ = float32_boundary(points[i, c])
-                    reach = max(reach, distance)
+                    reach = max(reach, _boundary(rounding, points[i, c])[0])
     return reach
 
 
@@ -89,8 +92,7 @@ def _walk(
         for i in range(size):
             if min(distance[3 * i], distance[3 * i + 1], distance[3 * i + 2]) > reach:
                 continue
-            given = np.int64(codes[start + i])
-            digits = (given // 9 - 1, given // 3 % 3 - 1, given % 3 - 1)
+            digits = _digits(np.int64(codes[start + i]))
             code = np.int64(0)
             for c in range(3):
                 digit, near, across = np.int64(0), distance[3 * i + c], np.int64(step[3 * i + c])

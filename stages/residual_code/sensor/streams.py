@@ -28,7 +28,7 @@ from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message import logged_scan
-from salpcc.stages.residual_code.message.field_coder import Points
+from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.correction_coder import FLOAT32, MILLIMETRE
 from salpcc.stages.residual_code.sensor.gop_state import GopState

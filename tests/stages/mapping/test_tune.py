@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.mapping.config import Carving, MapConfig
+from salpcc.stages.mapping.deskew import fastest
 from salpcc.stages.mapping.paste import Mover, ground_under, movers_of, paste
-from salpcc.stages.mapping.tune import STRETCH, Trial, best, stretch_of, tune
+from salpcc.stages.mapping.tune import STRETCH, Trial, best, tune
 
 F64 = NDArray[np.float64]
 
@@ -83,6 +84,6 @@ def test_the_setting_in_hand_stays_where_it_is_hardly_worse() -> None:
 def test_it_is_tuned_where_one_drove_farthest() -> None:
     motions = np.zeros((100, 6))
     motions[55:90, 0] = 1.0
-    part = stretch_of(motions)
+    part = fastest(motions, STRETCH)
     assert part.stop - part.start == STRETCH and motions[part, 0].sum() == 35
-    assert stretch_of(np.zeros((5, 6))) == slice(0, 5)
+    assert fastest(np.zeros((5, 6)), STRETCH) == slice(0, 5)

@@ -47,6 +47,13 @@ def coder_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     return Table("fig8", "Lossless coders (Fig. 8)", columns, tuple(shown), note, grouped="what")
 
 
+_ERRORS_OF_POSE = tuple(
+    Column(f"{kind}_{unit}_{figure}", f"{kind}, {unit}, {figure}", ".4f")
+    for kind, unit in (("rotation", "deg"), ("translation", "m"))
+    for figure in ("mean", "std", "median")
+)
+
+
 def ablation_table(number: int, study: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     """One study: a row per sequence and variant, a column per measure."""
     measures = list(dict.fromkeys(key for row in rows for key in row if key not in ("sequence", "variant")))
@@ -68,11 +75,7 @@ def table_5(rows: Sequence[Mapping[str, Any]]) -> Table:
         Column("sequence", "sequence"),
         Column("bpp", "bpp", ".2f"),
         Column("pairs", "pairs", ","),
-        *(
-            Column(f"{kind}_{unit}_{figure}", f"{kind}, {unit}, {figure}", ".4f")
-            for kind, unit in (("rotation", "deg"), ("translation", "m"))
-            for figure in ("mean", "std", "median")
-        ),
+        *_ERRORS_OF_POSE,
     )
     shown = [
         {**row, "asked": "-" if row["max_error"] is None else accuracy_label(row["max_error"])}
@@ -102,11 +105,7 @@ def localisation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         Column("sequence", "sequence"),
         Column("scans", "scans", ","),
         Column("lost", "lost", ","),
-        *(
-            Column(f"{kind}_{unit}_{figure}", f"{kind}, {unit}, {figure}", ".4f")
-            for kind, unit in (("rotation", "deg"), ("translation", "m"))
-            for figure in ("mean", "std", "median")
-        ),
+        *_ERRORS_OF_POSE,
     )
     shown = [{**row, "asked": accuracy_label(row["max_error"])} for row in rows]
     note = "Each scan begins where the one before it was. Lost: farther than a metre off, and in no mean."

@@ -6,8 +6,9 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.message import field_modes
-from salpcc.stages.residual_code.message.field_coder import Points, decode_field, encode_field
+from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.field_modes import FieldModes
+from salpcc.stages.residual_code.message.points import Points
 
 N = 3200
 SENSOR = load_sensor("vlp16")

@@ -23,10 +23,10 @@ from salpcc.stages.residual_code.message.field_coder import (
     COLUMNS,
     CONSTANT,
     TIMES,
-    Points,
     decode_field,
     encode_field,
 )
+from salpcc.stages.residual_code.message.points import Points
 
 LASERS, FIRINGS = 16, 400
 ORDER = np.array([0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15])  # as lasers fire
@@ -219,7 +219,8 @@ _SCRIPT = """
 import sys, zlib, numpy as np
 sys.path.insert(0, sys.argv[1])
 from test_lattice_fields import sensor
-from salpcc.stages.residual_code.message.field_coder import Points, decode_field
+from salpcc.stages.residual_code.message.field_coder import decode_field
+from salpcc.stages.residual_code.message.points import Points
 held = np.load(sys.argv[2])
 points = Points.of(held["xyz"], 0, sensor())
 values, _ = decode_field(held["data"].tobytes(), 0, np.dtype(np.float32), points)

@@ -1,0 +1,106 @@
+"""What encoder and decoder of a message's fields know of its points: how they lie, on the lattice of their sensor or in rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.stages.lattice.aim import lies_on
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.residual_code.message.blended_values import Around
+from salpcc.stages.residual_code.message.firing_times import Fired, fired_by
+from salpcc.stages.strays.timeline import LASERS, Timeline
+
+# What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide.
+LISTED, FIRED, ROWS, GUIDED = range(4)
+_CLOSE = 0.002  # metres from the lattice
+
+
+@dataclass(frozen=True)
+class Points:
+    """What encoder and decoder know of the points before their fields.
+
+    Attributes:
+        xyz: ``(N, 3)`` float32 as decoded.
+        void: ``(N,)`` whether a point has no return: all zeros, or NaN.
+        ranges: ``(N,)`` float64, distance from the sensor in metres, 0 where void.
+        periods: distances at which fields may repeat.
+        width: of a row of an organised cloud, else 0.
+        sensor: whose lattice they may lie on.
+        told: lasers and times of the points, where these are known.
+        guide: a column ``(N,)`` int64 that the field may follow from, where one is known.
+    """
+
+    xyz: NDArray[np.float32]
+    void: NDArray[np.bool_]
+    ranges: NDArray[np.float64]
+    periods: tuple[int, ...]
+    width: int = 0
+    sensor: SensorModel | None = None
+    told: Timeline | None = None
+    guide: NDArray[np.int64] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        xyz: NDArray[np.float32],
+        width: int,
+        sensor: SensorModel | None = None,
+        told: Timeline | None = None,
+    ) -> Points:
+        """Derive it from decoded points; ``width`` is that of a row of an organised cloud, else 0."""
+        wide = xyz.astype(np.float64)
+        with np.errstate(invalid="ignore", over="ignore"):
+            squares = (wide[:, 0] * wide[:, 0] + wide[:, 1] * wide[:, 1]) + wide[:, 2] * wide[:, 2]
+            void = ~((squares > 0) & (squares < 1e12))
+        ranges = np.sqrt(np.where(void, 0.0, squares))
+        periods = (1, width, 4 * width) if width > 1 else (1, 16, 32, 64, 128)
+        return cls(xyz, void, ranges, periods, width, sensor, told)
+
+    @cached_property
+    def fired(self) -> Fired | None:
+        """Lasers and ticks of the points, of which none are known where lasers are told; None without a sensor."""
+        if self.told is not None:
+            laser = self.told.laser.astype(np.int64)
+            return Fired(laser, np.zeros_like(laser), np.zeros(LASERS + 1, np.int64), 1)
+        return None if self.sensor is None else fired_by(self.sensor, self.xyz)
+
+    def of_rows(self, values: NDArray[Any]) -> bool:
+        """Whether values ``(N,)`` are of an organised cloud, and wide enough to follow from its columns."""
+        return values.dtype.itemsize >= 2 and self.width > 1 and len(values) % self.width == 0
+
+    def around(self, what: int) -> Around | None:
+        """What values are blended from; None where it is not known."""
+        n, nobody, guide = len(self.void), np.full(2, -1), np.zeros(0, np.int64)
+        if what >= GUIDED:
+            if self.guide is None:
+                return None
+            what, guide = what - GUIDED, self.guide
+        if what == ROWS:
+            width = self.width if self.width > 1 else 0
+            lasers = np.zeros(1, np.int64)
+            return (self.void, self.ranges, width, lasers, nobody, nobody, guide) if width else None
+        if what == LISTED:
+            return self.void, self.ranges, 0, np.zeros(n, np.int64), nobody, nobody, guide
+        if self.fired is None:
+            return None
+        above, below = np.full(self.fired.lasers + 1, -1), np.full(self.fired.lasers + 1, -1)
+        if self.sensor is not None:
+            order = np.argsort(-self.sensor.theta, kind="stable")[: self.fired.lasers]
+            above[order[1:]], below[order[:-1]] = order[:-1], order[1:]
+        return self.void, self.ranges, 0, self.fired.laser, above, below, guide
+
+    def ticks(self, what: int) -> tuple[NDArray[np.int64] | None, int]:
+        """Ticks ``(N,)`` of points, and those in a turn, where what lies around is of lasers that tell them; else None."""
+        if what % GUIDED != FIRED or self.told is not None or self.fired is None:
+            return None, 0
+        return self.fired.tick, self.fired.ticks
+
+    @cached_property
+    def on_lattice(self) -> bool:
+        """Whether lasers and ticks mean anything; to be asked by a writer only."""
+        return self.told is not None or (self.sensor is not None and lies_on(self.sensor, self.xyz, _CLOSE))
