@@ -7,7 +7,8 @@ below, the size of the distance in unary, the bits below the leading one. The mi
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -47,6 +48,16 @@ class Guesses(NamedTuple):
     per: F64
     weight: F64
     likely: F64
+
+
+def first_places(contexts: Sequence[int]) -> NDArray[np.int64]:
+    """Return where contexts of each kind begin, one after the other, and last how many there are in all ``(kinds + 1,)``."""
+    return np.concatenate([np.zeros(1, np.int64), np.cumsum(np.array(contexts, np.int64))])
+
+
+def copied(models: Any) -> Any:
+    """Return a named tuple of models, and of such tuples, with arrays of its own."""
+    return type(models)(*(copied(part) if isinstance(part, tuple) else part.copy() for part in models))
 
 
 def new_numbers(contexts: int, sets: int, opinions: int, nodes: int = NODES) -> Numbers:

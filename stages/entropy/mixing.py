@@ -82,7 +82,9 @@ def code_given_bit(writing: bool, state: State, buffer: Buffer, p: float, bit: i
     """Code one bit whose probability of being 1 is given."""
     zero = (1 << _BITS) - min(max(int(p * (1 << _BITS)), 8), (1 << _BITS) - 8)
     if not writing:
-        bit = 1 if state[0] >= (state[1] >> _BITS) * zero else 0
+        bit = (
+            1 if state[0] >= (state[1] >> _BITS) * zero else 0
+        )  # as decode_target would tell, without a division
     low, width = (zero, (1 << _BITS) - zero) if bit == 1 else (0, zero)
     if writing:
         encode_interval(state, buffer, low, width, _BITS)

@@ -40,7 +40,7 @@ from salpcc.stages.segment.registration import steps_between
 from salpcc.stages.segment.reliability import BINS, calibration_error, reliability
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
 from salpcc.stages.segment.several_scans import agree
-from salpcc.stages.segment.training.labelled import not_movable, raw_labels, split_labelled
+from salpcc.stages.segment.training.labelled import consecutive, not_movable, raw_labels, split_labelled
 from salpcc.stages.segment.training.score import count, scores
 from salpcc.stages.segment.weights_file import weights_path
 
@@ -90,15 +90,9 @@ def groups(root: Path, sequence: str) -> Iterator[list[tuple[int, Scan, NDArray[
     Raises:
         SourceError: the sequence is not there, or has no labels.
     """
-    group: list[tuple[int, Scan, NDArray[np.uint32]]] = []
-    for ref in split_labelled([root], [sequence])[1]:
-        if group and (len(group) == _GOP or ref.number != group[-1][0] + 1):
-            yield group
-            group = []
-        scan = SemanticKitti().read(ref, with_labels=False)
-        group.append((ref.number, scan, raw_labels(ref, scan.points)))
-    if group:
-        yield group
+    for group in consecutive(split_labelled([root], [sequence])[1], _GOP):
+        read = [(ref, SemanticKitti().read(ref, with_labels=False)) for ref in group]
+        yield [(ref.number, scan, raw_labels(ref, scan.points)) for ref, scan in read]
 
 
 def variants(

@@ -66,6 +66,15 @@ def _branched(s: float, branch: int) -> float:
     return s + branch if branch != 0 and s * branch < 0.0 else s
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _correction(x, y, qx, qy, s0, c, s):  # type: ignore[no-untyped-def]
+    """By how much s is off where the motion undone by it leaves (qx, qy), and the tangent of the turn between the two."""
+    t = (x * qy - y * qx) / (x * qx + y * qy)
+    t2 = t * t
+    angle = t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0))))
+    return (s0 + angle * (1.0 / TWO_PI) - s) / (1.0 - c), t
+
+
 @njit(cache=True, error_model="numpy")
 def inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -> tuple[float, float, float]:
     """Solve P(q) = (x, y, z) for q. ``branch`` of 1 or -1 moves s there by a turn.
@@ -80,10 +89,7 @@ def inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -
     qx, qy, qz = turned_back(x, y, z, s, m)
     if rho2 > 4.0:
         for _ in range(4):
-            t = (x * qy - y * qx) / (x * qx + y * qy)
-            t2 = t * t
-            angle = t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0))))
-            change = (s0 + angle * (1.0 / TWO_PI) - s) / (1.0 - c)
+            change, t = _correction(x, y, qx, qy, s0, c, s)
             s += change
             qx, qy, qz = turned_back(x, y, z, s, m)
             if abs(change) < 1e-5:
@@ -100,10 +106,7 @@ def inverse(x: float, y: float, z: float, m: NDArray[np.float64], branch: int) -
 def _newton(x, y, z, s0, c, s, m):  # type: ignore[no-untyped-def]
     """One Newton step of :func:`inverse` from s on: the next s, whether it is the last, and whether it holds."""
     qx, qy, _ = turned_back(x, y, z, s, m)
-    t = (x * qy - y * qx) / (x * qx + y * qy)
-    t2 = t * t
-    angle = t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 * (1.0 / 7.0))))
-    change = (s0 + angle * (1.0 / TWO_PI) - s) / (1.0 - c)
+    change, t = _correction(x, y, qx, qy, s0, c, s)
     return s + change, abs(change) < 1e-5, abs(t) < 0.2
 
 

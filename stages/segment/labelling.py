@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.segment.geometric import split_ground
 from salpcc.stages.segment.weights_file import weights_path
+
+if TYPE_CHECKING:
+    from salpcc.stages.segment.segmenter import Segmentation
 
 _LONGEST_STEP = 250_000_000  # nanoseconds between scans without a gap
 
@@ -69,18 +73,34 @@ def network_classes(
     """
     # Imported here: a process that asks no network has no use for torch's hundred megabytes.
     from salpcc.stages.segment.checkpoint import load_cached
-    from salpcc.stages.segment.objects import judge_objects
-    from salpcc.stages.segment.registration import steps_between
     from salpcc.stages.segment.segmenter import segment_scan
-    from salpcc.stages.segment.several_scans import agree
 
     network = load_cached(weights_path(weights), device)
     found = [segment_scan(network, scan.points, scan.intensity) for scan in scans]
-    steps: list[NDArray[np.float64] | None] = [None] * len(found)
-    if several_scans:
-        steps = steps_between(found, follows, motions)
-        found = agree(found, steps)
-    return [one.labels() for one in judge_objects(found, steps)]
+    return [one.labels() for one in judge_group(found, follows, motions, several_scans)]
+
+
+def judge_group(
+    found: Sequence[Segmentation],
+    follows: Sequence[bool],
+    motions: Sequence[NDArray[np.float64] | None],
+    several_scans: bool = True,
+) -> list[Segmentation]:
+    """Settle what the network said of each scan of a group by what it said of those around, then object by object.
+
+    Args:
+        found: in order of time.
+        follows, motions: as in :func:`network_classes`.
+        several_scans: whether scans hear each other; else only objects are judged.
+    """
+    from salpcc.stages.segment.objects import judge_objects
+    from salpcc.stages.segment.registration import steps_between
+    from salpcc.stages.segment.several_scans import agree
+
+    if not several_scans:
+        return judge_objects(found, [None] * len(found))
+    steps = steps_between(found, follows, motions)
+    return judge_objects(agree(found, steps), steps)
 
 
 def with_classes(sweep: Sweep, sensor: SensorModel, classes: NDArray[np.uint8]) -> Sweep:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
-from salpcc.stages.strays.aimed_neighbours import above_and_below, guess_inverse, link
+from salpcc.stages.strays.aimed_neighbours import above_and_below, guess_inverse, link, short_way
 from salpcc.stages.strays.aimed_symbols import (
     AIMED,
     CLASSES,
@@ -209,8 +209,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 z -= np.float64(points[i, 2])
                 if x * x + y * y + z * z <= reach * reach:
                     tick[i] = expected % ticks
-            off = (tick[i] - expected) % ticks
-            off = off - ticks if off > ticks // 2 else off
+            off = short_way(tick[i] - expected, ticks)
             if learned is not None and left == 0:
                 learn_order(learned.order, learned.heard, i, before, k)
                 off = code_tick(
@@ -227,18 +226,14 @@ def code_aimed(  # type: ignore[no-untyped-def]
             slot_size[slot] = miss
             if left == 0:
                 if recent >= 0:
-                    jump = (tick[i] - tick[recent]) % ticks
-                    hop[laser[recent], k] = jump - ticks if jump > ticks // 2 else jump
+                    hop[laser[recent], k] = short_way(tick[i] - tick[recent], ticks)
             else:
                 if base_cycle != cycle:  # the first of its firing tells how far the sensor turned
-                    went = (tick[i] - relative[slot] - base) % ticks
-                    went = went - ticks if went > ticks // 2 else went
+                    went = short_way(tick[i] - relative[slot] - base, ticks)
                     if base_cycle >= 0 and cycle - base_cycle == 1:
                         pace = went
                     base, base_cycle = base + went, cycle
-                there = (tick[i] - base) % ticks
-                there = there - ticks if there > ticks // 2 else there
-                relative[slot] = there
+                relative[slot] = short_way(tick[i] - base, ticks)
                 slot_laser[slot] = k
             # The count.
             azimuth[i] = tick[i] + phase[k]

@@ -24,6 +24,13 @@ def link(i: int, k: int, links: NDArray[np.int64], ends: NDArray[np.int64]) -> N
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def short_way(ticks: int, turn: int) -> int:
+    """Whole ticks, of so many in a turn, the short way round."""
+    ticks %= turn
+    return ticks - turn if ticks > turn // 2 else ticks
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def _apart(a: float, b: float, ticks: int) -> float:
     """Azimuth from b to a in ticks, the short way round."""
     off = a - b

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from salpcc.stages.entropy.mixed_numbers import copied
 from salpcc.stages.strays.learned_counts import (
     CountModels,
     CountSeen,
@@ -44,18 +45,13 @@ class Learned:
 
     def walk(self, own: Turn) -> Walk:
         """Begin a scan with copies of all that is known; ``own``: what it will tell the next one."""
-        order, counts = _copied(self._known.order), _copied(self._known.counts)
+        order, counts = copied(self._known.order), copied(self._known.counts)
         self._tried = Known(order, counts, own)
         return Walk(order, nothing_seen(), counts, no_counts(len(own.azimuth), self._known.turn))
 
     def settle(self) -> None:
         """Keep what the last walk learned."""
         self._known = self._tried
-
-
-def _copied(models: Any) -> Any:
-    """Return models with arrays of their own."""
-    return type(models)(*(_copied(part) if isinstance(part, tuple) else part.copy() for part in models))
 
 
 class LearnedLists:

@@ -17,6 +17,7 @@ from salpcc.stages.entropy.mixed_numbers import (
     Guesses,
     Numbers,
     code_mixed_number,
+    first_places,
     learn_trust,
     new_guesses,
     new_numbers,
@@ -28,7 +29,7 @@ from salpcc.stages.strays.aimed_neighbours import nearest_of
 
 _SIZES, _SPREADS, _SIGNED, _LASERS = 16, 12, 9, 256
 _CONTEXTS = (_SPREADS * _SIZES, _SPREADS * _SIGNED * _SIGNED, _SPREADS * _SIGNED * _SIGNED, _LASERS)
-_FIRST = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.array(_CONTEXTS))])
+_FIRST = first_places(_CONTEXTS)
 _TOOK = np.array([0, 1, 2, 4])  # of the guesses of 1/d: same, straight on, above, below
 _BEFORE = 2  # guesses by the sweep before
 _MOST = len(_TOOK) + 2 + _BEFORE

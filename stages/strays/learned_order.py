@@ -18,6 +18,7 @@ from salpcc.stages.entropy.mixed_numbers import (
     Numbers,
     code_mixed_number,
     code_told_bit,
+    first_places,
     learn_trust,
     new_guesses,
     new_numbers,
@@ -25,15 +26,16 @@ from salpcc.stages.entropy.mixed_numbers import (
 )
 from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import Buffer, State
+from salpcc.stages.strays.aimed_neighbours import short_way
 
 _LASERS = 256
 _CANDIDATES = 3
 _FLAG_NODES = 4  # of contexts of flags: of each candidate, and of the tick
 _LONG_AGO = -(1 << 20)
 _NEXT = (_LASERS, 64, 13 * 8, _LASERS, 32)  # contexts of "it is this one"
-_FIRST_NEXT = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.array(_NEXT))])
+_FIRST_NEXT = first_places(_NEXT)
 _TICKS = (256, 5 * 256, _LASERS, 256, _LASERS)  # and of ticks
-_FIRST_TICK = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.array(_TICKS))])
+_FIRST_TICK = first_places(_TICKS)
 _AFTER_NEXT = int(_FIRST_NEXT[-1])
 _TICK_GUESSES = 4
 _SURE, _UNSURE = 4.0, 0.3  # 1 / width of guesses, in ticks
@@ -161,13 +163,6 @@ def learn_order(models: OrderModels, seen: OrderSeen, i: int, before: int, laser
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def _short(ticks: int, turn: int) -> int:
-    """Ticks the short way round."""
-    ticks %= turn
-    return ticks - turn if ticks > turn // 2 else ticks
-
-
-@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def code_tick(
     writing: bool,
     state: State,
@@ -189,9 +184,9 @@ def code_tick(
         tick_before: of the point before; ``turn``: ticks in one.
     """
     places, guesses, trust = seen.places, seen.guesses, models.trust
-    same = _short(tick_before - expected, turn)
+    same = short_way(tick_before - expected, turn)
     own = seen.last_tick[laser]
-    again = _short(own - expected, turn) if own >= 0 else 0
+    again = short_way(own - expected, turn) if own >= 0 else 0
     kind = 0 if same == 0 else (1 if same > 0 else 2)
     kind += 2 if abs(same) > 4 else 0
     past = seen.recent[1]

@@ -13,7 +13,7 @@ from salpcc.stages.ingest.simulator.ground import KERB, Stretch, height
 from salpcc.stages.ingest.simulator.mesh import Mesh
 
 F64 = NDArray[np.float64]
-# SemanticKITTI's moving twins of car, truck, bus, bicyclist, motorcyclist, person.
+# SemanticKITTI's moving twins of car, bicyclist, person, motorcyclist, bus, truck; of trams, and of other vehicles.
 MOVING_CAR, MOVING_BICYCLIST, MOVING_PERSON, MOVING_MOTORCYCLIST, MOVING_BUS, MOVING_TRUCK = (
     252,
     253,
@@ -22,11 +22,12 @@ MOVING_CAR, MOVING_BICYCLIST, MOVING_PERSON, MOVING_MOTORCYCLIST, MOVING_BUS, MO
     257,
     258,
 )
+MOVING_TRAM, MOVING_OTHER_VEHICLE = 256, 259
 _MOVING = {
     vehicles.TRUCK: MOVING_TRUCK,
     vehicles.BUS: MOVING_BUS,
-    vehicles.OTHER_VEHICLE: 259,
-    large_vehicles.TRAM: 256,
+    vehicles.OTHER_VEHICLE: MOVING_OTHER_VEHICLE,
+    large_vehicles.TRAM: MOVING_TRAM,
 }
 
 

@@ -17,6 +17,8 @@ from salpcc.stages.entropy.mixed_numbers import (
     Guesses,
     Numbers,
     code_mixed_number,
+    copied,
+    first_places,
     learn_trust,
     new_guesses,
     new_numbers,
@@ -31,7 +33,7 @@ _SPREADS, _VALUES, _SIGNED, _LASERS = 16, 512, 9, 257
 _COARSE = _SPREADS // 2
 _PAIRS = _SIGNED * _SIGNED * _COARSE
 _CONTEXTS = (_VALUES, _PAIRS, _PAIRS, _PAIRS)
-_FIRST = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.array(_CONTEXTS))])
+_FIRST = first_places(_CONTEXTS)
 _NEAR = 0.0005  # turns; what was farther off in the scan before says nothing
 _ALIKE = 0.01  # of the distance
 _UNKNOWN = 20.0
@@ -209,8 +211,7 @@ class LearnedField:
         """
         void, ranges, width, laser = around[:4]
         n = len(void)
-        chances, weights = self._models.numbers
-        models = ValueModels(Numbers(chances.copy(), weights.copy()), self._models.trust.copy())
+        models = copied(self._models)
         told = tick is not None
         at = np.zeros(0) if tick is None else tick.astype(np.float64)
         links, ends = np.full((n if told else 0, 2), -1), np.full((_LASERS, 2), -1)

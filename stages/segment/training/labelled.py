@@ -7,7 +7,7 @@ Labels may be partial: what is 0 teaches nothing, and of what SemanticKITTI call
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,6 +89,19 @@ def sequence_of(ref: ScanRef) -> str:
     """Name of the sequence that a labelled scan belongs to; ``training`` of KITTI's objects."""
     folder = Path(ref.path).parent
     return folder.parent.name if folder.name == "velodyne" else folder.name
+
+
+def consecutive(refs: Sequence[ScanRef], most: int) -> Iterator[list[ScanRef]]:
+    """Cut scans into groups of at most ``most`` whose frames follow each other in one sequence."""
+    group: list[ScanRef] = []
+    for ref in refs:
+        follows = group and (sequence_of(ref), ref.number) == (sequence_of(group[-1]), group[-1].number + 1)
+        if group and (not follows or len(group) == most):
+            yield group
+            group = []
+        group.append(ref)
+    if group:
+        yield group
 
 
 def raw_labels(ref: ScanRef, points: F32) -> NDArray[np.uint32]:

@@ -7,7 +7,7 @@ shown. Of what it is not sure of nothing is said, and what boxes say stands (sel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,18 +20,15 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.segment.class_shares import AS_IN_STREETS
-from salpcc.stages.segment.labelling import joined
-from salpcc.stages.segment.objects import judge_objects
+from salpcc.stages.segment.labelling import joined, judge_group
 from salpcc.stages.segment.quantised import LabellingNetwork
-from salpcc.stages.segment.registration import steps_between
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
-from salpcc.stages.segment.several_scans import agree
-from salpcc.stages.segment.training.labelled import not_movable, raw_labels, sequence_of
+from salpcc.stages.segment.training.labelled import consecutive, not_movable, raw_labels, sequence_of
 
 _SURE_MOVABLE = 0.95  # of the pixels said to be so with 0.8 to 0.9 every second is
 _SURE_STATIC = 0.05  # probability to be movable
 _SURE_CLASS = 0.8  # probability of ground or other, to say which
-_LIKELY = 0.3
+_LIKELY = 0.3  # probability to be movable of what may be a bicycle
 _PARKED = [i for i, c in enumerate(CLASSES) if c.name in ("bicycle", "motorcycle")]
 _IN_NO_BOX = 99
 _WHOLE = 0.5  # of the points of a scan; boxes cover a sixth
@@ -65,7 +62,7 @@ def complete_labels(
     folders = {
         name: f"{k:03d}" for k, name in enumerate(dict.fromkeys(Path(ref.path).parent for ref in refs))
     }
-    for group in _groups(refs):
+    for group in consecutive(refs, _GROUP):
         scans = [SemanticKitti().read(ref, with_labels=False) for ref in group]
         given = [
             np.zeros(len(scan.points), np.uint32) if ref.labels is None else raw_labels(ref, scan.points)
@@ -92,11 +89,8 @@ def complete_labels(
 def teach(network: LabellingNetwork, scans: Sequence[Scan]) -> list[Said]:
     """Ask a network what it is sure of in the scans of a group, of one drive or of many."""
     found = [_twice(network, scan) for scan in scans]
-    steps = steps_between(found, joined(scans), [None] * len(found))
-    return [
-        _sure(one, len(scan.points))
-        for one, scan in zip(judge_objects(agree(found, steps), steps), scans, strict=True)
-    ]
+    judged = judge_group(found, joined(scans), [None] * len(found))
+    return [_sure(one, len(scan.points)) for one, scan in zip(judged, scans, strict=True)]
 
 
 def join_labels(labels: NDArray[np.uint32], said: Said) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
@@ -110,7 +104,7 @@ def join_labels(labels: NDArray[np.uint32], said: Said) -> tuple[NDArray[np.uint
     named = not_movable(boxes) & (said.labels != 0) & ~np.isin(said.labels, _ID[GROUP_OF_CLASS == MOVABLE])
     every[named] = said.labels[named]
     every[not_movable(labels) & said.parked] = 0
-    return boxes, every.astype(np.uint32)
+    return boxes, every
 
 
 def _twice(network: LabellingNetwork, scan: Scan) -> Segmentation:
@@ -136,18 +130,3 @@ def _sure(found: Segmentation, n: int) -> Said:
     said.labels[found.image.index[seen]] = labels
     said.parked[found.image.index[seen]] = (groups[MOVABLE] > _LIKELY) & np.isin(best[MOVABLE], _PARKED)
     return said
-
-
-def _groups(refs: Sequence[ScanRef]) -> Iterator[list[ScanRef]]:
-    group: list[ScanRef] = []
-    for ref in refs:
-        if group and (
-            len(group) == _GROUP
-            or sequence_of(ref) != sequence_of(group[-1])
-            or ref.number != group[-1].number + 1
-        ):
-            yield group
-            group = []
-        group.append(ref)
-    if group:
-        yield group
