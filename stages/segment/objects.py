@@ -3,7 +3,8 @@
 The network judges pixels, so half of a lorry is a house and nine points of a guard rail are a car. What stands on the
 ground falls apart at gaps; each part of a possible size is given the mean of what is said of its pixels. Parts of
 consecutive scans that lie at one place, or close by and of one size, are one object. One that left its place is the
-likelier movable, in all of them.
+likelier movable, in all of them. What is larger than any object is a house, a hedge or a guard rail (or a tram): only
+what stands apart from it can be movable.
 """
 
 from __future__ import annotations
@@ -32,6 +33,11 @@ _LEAST_SURE, _SURE = (
     50,
     0.8,
 )  # pixels, and mean probability, of a movable object that touches a thing which is not
+_SEAM = 0.3  # of the pixels along its left and right edge that go on into that thing: a piece of it, then
+_SEAMLESS, _SEAMLESS_BY_RANGE = (
+    0.03,
+    0.004,
+)  # metres between neighbours of one surface, and more for every metre of range
 _LONGEST, _HIGHEST = 20.0, 4.5  # metres; a larger thing is not one object
 _SPLINTER = 0.8  # metres; what is shorter seldom is a whole thing,
 _SPLINTER_COUNTS = 0.5  # so its odds to be movable are halved
@@ -53,6 +59,7 @@ class Objects:
         said: ``(n, 3)`` the sum of its pixels' probabilities by group.
         votes: ``(n, 3, classes)`` pixels by their best class of each group.
         shape: ``(n, 5)`` its mean x, y, z, its length and height, metres.
+        beyond: ``(H, W)`` the pixels of what is larger than any object and not movable on the whole, as trams and queues are.
     """
 
     names: I32
@@ -60,6 +67,7 @@ class Objects:
     said: F64
     votes: NDArray[np.int64]
     shape: F64
+    beyond: NDArray[np.bool_]
 
 
 @njit(cache=True)
@@ -151,15 +159,21 @@ def objects_of(one: Segmentation) -> Objects:
     )
     size = high - low
     length = np.hypot(size[:, 0], size[:, 1])
-    fits = (weights >= _LEAST) & (length < _LONGEST) & (high[:, 3] < _HIGHEST)
+    large = (length >= _LONGEST) | (high[:, 3] >= _HIGHEST)
+    fits = (weights >= _LEAST) & ~large
+    beyond = names >= 0
+    beyond[beyond] = (large & (said[:, MOVABLE] < 0.5 * weights))[names[beyond]]
     number = np.where(fits, np.cumsum(fits) - 1, -1).astype(np.int32)
     names = np.where(names >= 0, number[names], np.int32(-1)) if count else names
     shape = np.column_stack([places / np.maximum(weights, 1)[:, None], length, size[:, 2]])
-    return Objects(names, weights[fits], said[fits], votes[fits], shape[fits])
+    return Objects(names, weights[fits], said[fits], votes[fits], shape[fits], beyond)
 
 
 def _apart(names: I32, count: int, planes: F32, movable: F32) -> tuple[I32, int]:
-    """Set apart from a part ``(H, W)`` that is not movable on the whole what in it surely is: people in front of a wall."""
+    """Set apart from a part ``(H, W)`` that is not movable on the whole what in it surely is: people in front of a wall.
+
+    What goes on into the rest without a seam is a piece of the wall itself.
+    """
     within = names >= 0
     weights = np.bincount(names[within], minlength=count)
     whole = np.bincount(names[within], movable[within], count) < 0.5 * weights
@@ -169,10 +183,36 @@ def _apart(names: I32, count: int, planes: F32, movable: F32) -> tuple[I32, int]
     inside = cores >= 0
     size = np.bincount(cores[inside], minlength=n)
     sure = (size >= _LEAST_SURE) & (np.bincount(cores[inside], movable[inside], n) >= _SURE * size)
+    ends, seamless = _edges(names, cores, n, planes)
+    sure &= seamless <= _SEAM * ends
     inside[inside] = sure[cores[inside]]
     names = names.copy()
     names[inside] = count + cores[inside]
     return names, count + n
+
+
+@njit(cache=True)
+def _edges(names: I32, cores: I32, count: int, planes: F32) -> tuple[F64, F64]:
+    """Per core ``(count,)``: pixels at its left and right edge, and those of them that the part goes on beside, on one surface."""
+    ends, seamless = np.zeros(count), np.zeros(count)
+    rows, columns = names.shape
+    for i in range(rows):
+        for j in range(columns):
+            core = cores[i, j]
+            if core < 0:
+                continue
+            gap = _SEAMLESS + _SEAMLESS_BY_RANGE * planes[RANGE, i, j]
+            for beside in ((j - 1) % columns, (j + 1) % columns):
+                if cores[i, beside] == core:
+                    continue
+                ends[core] += 1
+                if names[i, beside] != names[i, j]:
+                    continue
+                dx = planes[0, i, j] - planes[0, i, beside]
+                dy = planes[1, i, j] - planes[1, i, beside]
+                dz = planes[2, i, j] - planes[2, i, beside]
+                seamless[core] += dx * dx + dy * dy + dz * dz < gap * gap
+    return ends, seamless
 
 
 def follow(before: Objects, after: Objects, pose: F64) -> list[tuple[int, int]]:
@@ -226,6 +266,7 @@ def judge_objects(found: Sequence[Segmentation], steps: Sequence[F64 | None]) ->
         groups, classes = one.groups.copy(), one.best.copy()
         groups[:, within] = mean[names].T
         classes[:, within] = best[names].T
+        groups[MOVABLE, things.beyond] = 0.0
         judged.append(replace(one, groups=groups, best=classes))
     return judged
 

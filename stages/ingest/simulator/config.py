@@ -23,6 +23,8 @@ class SimulationConfig:
         movers: number of moving cars, trucks, buses, cyclists, pedestrians near the drive.
         parked: share of the kerb that parked cars take, 0 to 1.
         large: share of all vehicles that are lorries, buses, trams, delivery vans and the like, beside the few there are.
+        beside: share of the kerb without parked vehicles where walls, garages, guard rails, hoardings and large signs stand,
+            each an instance of its own.
         period_s: time of one turn of the sensor.
         ticks_per_firing: encoder ticks between two firings of the whole block, of 4000 a turn.
         sensor_height: of the sensor above the road, metres.
@@ -42,6 +44,7 @@ class SimulationConfig:
     movers: int = 12
     parked: float = 0.25
     large: float = 0.0
+    beside: float = 0.0
     period_s: float = 0.1037
     ticks_per_firing: float = 1.851
     sensor_height: float = 1.73

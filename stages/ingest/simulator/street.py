@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salpcc.stages.ingest.simulator import large_vehicles, plants, structures, vehicles
+from salpcc.stages.ingest.simulator import large_vehicles, plants, roadside, structures, vehicles
 from salpcc.stages.ingest.simulator.config import SimulationConfig
 from salpcc.stages.ingest.simulator.drive import CentreLine
 from salpcc.stages.ingest.simulator.ground import KERB, Stretch, ground, height
@@ -93,6 +93,11 @@ class _Builder:
                 mesh = make(rng)
                 left = edge - 1.15 if st.parking else edge + 0.7
                 self.put(mesh.labelled(int(mesh.label[0]), self.instances), s, side * left, turn, 0.02)
+            elif self.config.beside and rng.random() < self.config.beside:
+                self.instances += 1
+                mesh = roadside.roadside_thing(rng)
+                mesh = mesh.labelled(int(mesh.label[0]), self.instances)
+                self.put(mesh, s, side * (edge + float(rng.uniform(0.3, 3.0))), float(rng.normal(0, 0.05)))
         for s in self.along(st, 20, 32):
             self.put(
                 structures.lamp(rng), s, side * max(edge + 0.4, st.edge(self.road) - 0.4), -side * np.pi / 2

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError
-from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE, classes_of_labels
+from salpcc.schemas.labels import CLASSES, classes_of_labels
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti, read_labels
 from salpcc.stages.segment.range_image import project
@@ -25,7 +25,6 @@ F32 = NDArray[np.float32]
 
 NOT_MOVABLE = len(CLASSES)  # beside the classes: of whatever class that is not movable
 _NOT_MOVABLE_IDS = (52, 99)
-_MOVES = np.append(GROUP_OF_CLASS == MOVABLE, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +34,7 @@ class LabelledImage:
     Attributes:
         planes: ``(6, 64, W)`` float32, as in :class:`~salpcc.stages.segment.range_image.RangeImage`.
         classes: ``(64, W)`` uint8, 0 where unlabelled or empty, NOT_MOVABLE where no more is known.
-        instances: ``(64, W)`` uint32, the raw label (instance and class) of movable pixels, else 0.
+        instances: ``(64, W)`` uint32, the raw label (instance and class) of pixels of one thing whose class is known, else 0.
     """
 
     planes: F32
@@ -137,7 +136,7 @@ def read_labelled(ref: ScanRef) -> LabelledImage:
     classes[seen] = known[shown]
     instances = np.zeros(image.index.shape, np.uint32)
     instances[seen] = labels[shown]
-    instances[~_MOVES[classes]] = 0
+    instances[(instances >> 16 == 0) | (classes == 0) | (classes == NOT_MOVABLE)] = 0
     return LabelledImage(image.planes, classes, instances)
 
 

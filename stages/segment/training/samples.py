@@ -123,13 +123,13 @@ class Samples(IterableDataset[Batch]):
 
 
 class InstanceBank:
-    """Movable objects to paste, by class; a full class forgets one at random for each new one."""
+    """Objects to paste, by class; a full class forgets one at random for each new one."""
 
     def __init__(self) -> None:
         self.instances: dict[int, list[Instance]] = {}
 
     def add(self, image: LabelledImage, rng: np.random.Generator) -> None:
-        """Take in the movable objects of an image."""
+        """Take in the objects of an image."""
         for instance in instances_of(image):
             kept = self.instances.setdefault(instance.label, [])
             kept.append(instance)
@@ -146,6 +146,7 @@ class InstanceBank:
             return None
         vehicle, person, other = kinds
         known = {"car": 1.0, "truck": vehicle, "other-vehicle": vehicle, "person": person}
+        known |= {"building": vehicle, "fence": vehicle}  # what may pass for a lorry
         weights = np.array([known.get(CLASSES[label].name, other) for label in labels])
         kept = self.instances[labels[int(rng.choice(len(labels), p=weights / weights.sum()))]]
         return kept[int(rng.integers(len(kept)))]

@@ -25,7 +25,7 @@ _LOW = 0.2  # metres above the lowest returns around: ground where there is no l
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """One movable object cut out: ``planes`` ``(6, 64, w)``, ``mask`` ``(64, w)``, its class, its first column."""
+    """One object cut out: ``planes`` ``(6, 64, w)``, ``mask`` ``(64, w)``, its class, its first column."""
 
     planes: F32
     mask: NDArray[np.bool_]
@@ -34,11 +34,11 @@ class Instance:
 
 
 def instances_of(image: LabelledImage) -> list[Instance]:
-    """Cut out the movable objects of an image that show at least 20 pixels."""
+    """Cut out the objects of an image (those with a name of their own) that show at least 20 pixels."""
     found = []
     columns = image.classes.shape[1]
     names, counts = np.unique(image.instances[image.instances > 0], return_counts=True)
-    for name in names[(counts >= _LEAST_PIXELS) & (names >> 16 > 0)]:
+    for name in names[counts >= _LEAST_PIXELS]:
         mask = image.instances == name
         used = np.flatnonzero(mask.any(axis=0))
         gaps = np.diff(np.append(used, used[0] + columns))

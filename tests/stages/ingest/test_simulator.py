@@ -189,3 +189,12 @@ def test_streets_of_large_vehicles_have_many_of_many_kinds(sensor: SensorModel) 
     share = [np.isin(one & 0xFFFF, kinds).mean() for one in (labels, usual)]
     assert share[0] > 5 * share[1]
     assert len(np.unique(labels[np.isin(labels & 0xFFFF, kinds)] & 0xFFFF)) >= 3
+
+
+def test_streets_of_walls_and_garages_name_each_of_them(sensor: SensorModel) -> None:
+    beside = replace(BRIEF, scans=1, parked=0.1, beside=0.8)
+    (scan,) = simulate_scans(beside, sensor)
+    kinds = scan.labels & 0xFFFF
+    things = np.unique(scan.labels[np.isin(kinds, (50, 51, 81)) & (scan.labels >> 16 > 0)])
+    assert len(things) >= 5 and len(np.unique(things & 0xFFFF)) >= 2
+    assert not (scan.labels[np.isin(kinds, (40, 48, 70, 72))] >> 16).any()

@@ -84,11 +84,26 @@ def test_who_surely_stands_before_a_wall_stays() -> None:
     assert _share(judged, 0.65, 1.35) == 1.0 and _share(judged, 2.0, 5.5) == 0.0
 
 
-def test_what_is_too_large_is_no_object() -> None:
-    street = [(_board(10.0, 7.0, 13.9, 2.0), 0.9), (_board(10.0, -7.0, 13.9, 2.0), 0.2)]
-    found = _scan(street)
+def test_a_piece_of_a_wall_is_the_wall() -> None:
+    """However sure the network is: nothing but what it says sets the piece apart."""
+    wall = [(_board(10.0, 3.0, 3.96, 1.7), 0.05), (_board(10.0, 0.0, 2.0, 1.7), 0.95), (_board(10.0, -3.0, 3.96, 1.7), 0.05)]  # fmt: skip
+    (judged,) = judge_objects([_scan(wall)], [None])
+    assert _share(judged, -4.8, 4.8) == 0.0
+
+
+def test_what_is_too_large_and_movable_is_no_object() -> None:
+    tram = [(_board(10.0, 7.0, 13.9, 2.0), 0.9), (_board(10.0, -7.0, 13.9, 2.0), 0.2)]
+    found = _scan(tram)
     (judged,) = judge_objects([found], [None])
     assert (judged.groups == found.groups).all()
+
+
+def test_a_rail_longer_than_any_object_has_no_cars() -> None:
+    rail = [(_board(10.0, 7.0, 13.9, 0.8), 0.05), (_board(10.0, -2.0, 4.0, 0.8), 0.7), (_board(10.0, -9.0, 9.9, 0.8), 0.05)]  # fmt: skip
+    car = (_board(7.0, 0.0, 1.8, 1.4), 0.6)
+    (judged,) = judge_objects([_scan([*rail, car])], [None])
+    assert _share(judged, 1.4, 12.0) == 0.0 and _share(judged, -12.0, -1.4) == 0.0
+    assert _share(judged, -0.6, 0.6) > 0.9
 
 
 def test_an_object_has_one_class() -> None:
