@@ -39,6 +39,7 @@ _SEAMLESS, _SEAMLESS_BY_RANGE = (
     0.004,
 )  # metres between neighbours of one surface, and more for every metre of range
 _LONGEST, _HIGHEST = 20.0, 4.5  # metres; a larger thing is not one object
+_LONG, _LOW = 6.0, 1.2  # metres; what is longer and ends lower is a rail or a kerb, not a vehicle
 _SPLINTER = 0.8  # metres; what is shorter seldom is a whole thing,
 _SPLINTER_COUNTS = 0.5  # so its odds to be movable are halved
 _SAME_PLACE = 1.5  # metres between an object and itself, a scan later
@@ -59,7 +60,8 @@ class Objects:
         said: ``(n, 3)`` the sum of its pixels' probabilities by group.
         votes: ``(n, 3, classes)`` pixels by their best class of each group.
         shape: ``(n, 5)`` its mean x, y, z, its length and height, metres.
-        beyond: ``(H, W)`` the pixels of what is larger than any object and not movable on the whole, as trams and queues are.
+        beyond: ``(H, W)`` the pixels of what no object looks like: larger than any and not movable on the whole (as trams
+            and queues are), or long and low as a rail.
     """
 
     names: I32
@@ -162,7 +164,9 @@ def objects_of(one: Segmentation) -> Objects:
     large = (length >= _LONGEST) | (high[:, 3] >= _HIGHEST)
     fits = (weights >= _LEAST) & ~large
     beyond = names >= 0
-    beyond[beyond] = (large & (said[:, MOVABLE] < 0.5 * weights))[names[beyond]]
+    house = large & (said[:, MOVABLE] < 0.5 * weights)
+    rail = (length > _LONG) & (high[:, 3] < _LOW)
+    beyond[beyond] = (house | rail)[names[beyond]]
     number = np.where(fits, np.cumsum(fits) - 1, -1).astype(np.int32)
     names = np.where(names >= 0, number[names], np.int32(-1)) if count else names
     shape = np.column_stack([places / np.maximum(weights, 1)[:, None], length, size[:, 2]])

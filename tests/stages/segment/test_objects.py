@@ -106,6 +106,13 @@ def test_a_rail_longer_than_any_object_has_no_cars() -> None:
     assert _share(judged, -0.6, 0.6) > 0.9
 
 
+def test_what_is_long_and_low_is_a_rail() -> None:
+    (judged,) = judge_objects([_scan([(_board(8.0, 0.0, 7.0, 0.9), 0.9)])], [None])
+    assert _share(judged, -3.4, 3.4) == 0.0
+    (judged,) = judge_objects([_scan([(_board(8.0, 0.0, 7.0, 1.9), 0.9)])], [None])
+    assert _share(judged, -3.4, 3.4) == 1.0
+
+
 def test_an_object_has_one_class() -> None:
     lorry = _scan([(_board(12.0, 0.0, 3.0, 3.0), 0.9)])
     left = (lorry.image.planes[1] > 0.5) & (lorry.image.index >= 0)
