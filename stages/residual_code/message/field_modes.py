@@ -11,15 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.residual_code.message.field_coder import (
-    LEARNED,
-    decode_field,
-    encode_field,
-    encode_like,
-    learned_way,
-)
+from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field, encode_like
 from salpcc.stages.residual_code.message.learned_values import LearnedField
+from salpcc.stages.residual_code.message.picture_records import learned_way
 from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.records import LEARNED
 
 _MOST = 64  # fields of a group that are learned; the others are coded as ``fast`` does
 _MORE, _SLACK = 1.05, 0.05  # times as many bits a value as when it was searched for; bits a value

@@ -13,9 +13,9 @@ import pytest
 
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.message.blended_values import decode_blended, encode_blended
-from salpcc.stages.residual_code.message.field_coder import LEARNED
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.records import LEARNED
 from salpcc.stages.strays.learned import LearnedLists
 from salpcc.stages.strays.stray_coder import (
     MOVED,

@@ -13,8 +13,9 @@ from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.list_motion import redo
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
-from salpcc.stages.residual_code.message.field_coder import BY_LASER, TOLD, decode_field, encode_field
+from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.records import BY_LASER, TOLD
 from salpcc.stages.strays.aimed_strays import OFF_LASER
 from salpcc.stages.strays.stray_coder import AIMED, MOVED, decode_strays, encode_strays, off_lattice, plan
 

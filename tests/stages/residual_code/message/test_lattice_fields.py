@@ -17,16 +17,9 @@ from salpcc.stages.entropy.number_forms import from_spans, spans_of
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.blended_values import MOST, decode_blended, encode_blended
-from salpcc.stages.residual_code.message.field_coder import (
-    BLENDED,
-    BY_LASER,
-    COLUMNS,
-    CONSTANT,
-    TIMES,
-    decode_field,
-    encode_field,
-)
+from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.records import BLENDED, BY_LASER, COLUMNS, CONSTANT, TIMES
 
 LASERS, FIRINGS = 16, 400
 ORDER = np.array([0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15])  # as lasers fire

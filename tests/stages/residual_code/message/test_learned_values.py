@@ -9,9 +9,10 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
-from salpcc.stages.residual_code.message.field_coder import LEARNED, decode_field
+from salpcc.stages.residual_code.message.field_coder import decode_field
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.records import LEARNED
 
 LASERS, FIRINGS, WIDTH = 16, 250, 600
 NAME = ("/a", "intensity")

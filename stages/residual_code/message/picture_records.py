@@ -1,0 +1,84 @@
+"""A field that looks like a picture: records of kinds BLENDED and LEARNED."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.number_forms import (
+    BITS,
+    DECIMAL,
+    SCALES,
+    find_scale,
+    from_bits,
+    from_scale,
+    to_scale,
+)
+from salpcc.stages.residual_code.message.blended_values import MOST, decode_blended, encode_blended
+from salpcc.stages.residual_code.message.learned_values import LearnedField
+from salpcc.stages.residual_code.message.points import FIRED, GUIDED, LISTED, ROWS, Points
+from salpcc.stages.residual_code.message.records import BLENDED, LEARNED, Values, unpacked
+
+_BLENDED = struct.Struct("<BBBI")  # what lies around, form, scale, length
+
+
+def encode_picture(values: Values, points: Points, learned: LearnedField | None) -> bytes | None:
+    """A field that looks like a picture; None where its values are no whole numbers, or too large."""
+    ways = [ROWS] * (points.width > 1) + [FIRED] * points.on_lattice or [LISTED]
+    return _encode_as([*ways, *(way + GUIDED for way in ways)], values, points, learned)
+
+
+def encode_picture_like(
+    record: bytes, values: Values, points: Points, learned: LearnedField | None
+) -> bytes | None:
+    """The same by the neighbourhood that ``record`` has; None where that cannot be."""
+    return _encode_as([_BLENDED.unpack_from(record, 1)[0]], values, points, learned)
+
+
+def _encode_as(ways: list[int], values: Values, points: Points, learned: LearnedField | None) -> bytes | None:
+    """The same by the best of these neighbourhoods."""
+    if values.dtype.kind != "f":
+        form, scale, integers = BITS, 0, values.astype(np.int64)
+    else:
+        found = find_scale(values)
+        if found is None:
+            return None
+        form, scale, integers = DECIMAL, found, to_scale(values, found)
+    if integers.min() <= -MOST or integers.max() >= MOST:
+        return None
+    coded = []
+    for what in ways:
+        around = points.around(what)
+        if around is not None:
+            stream = encode_blended(
+                integers, around, None if learned is None else learned.walk(what, around, *points.ticks(what))
+            )
+            kind = BLENDED if learned is None else LEARNED
+            coded.append(bytes([kind]) + _BLENDED.pack(what, form, scale, len(stream)) + stream)
+    return min(coded, key=len, default=None)
+
+
+def learned_way(record: bytes) -> int | None:
+    """What a record was learned around; None where it was not."""
+    return int(_BLENDED.unpack_from(record, 1)[0]) if record[0] == LEARNED else None
+
+
+def decode_picture(
+    data: bytes, at: int, kind: np.dtype[Any], points: Points, learned: LearnedField | None = None
+) -> tuple[Values, int]:
+    """Inverse of :func:`encode_picture`: the values, and where the record ends; ``at``: behind its kind."""
+    (what, form, scale, length), at = unpacked(_BLENDED, data, at)
+    around = points.around(what) if what <= ROWS + GUIDED else None
+    sound = form == (DECIMAL if kind.kind == "f" else BITS) and scale < len(SCALES)
+    if around is None or not sound or at + length > len(data):
+        raise ArchiveError("payload does not decode")
+    walk = None if learned is None else learned.walk(what, around, *points.ticks(what))
+    integers, sound = decode_blended(around, data[at : at + length], walk)
+    if learned is not None:
+        learned.settle(what)
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return from_scale(integers, scale, kind) if form == DECIMAL else from_bits(integers, kind), at + length

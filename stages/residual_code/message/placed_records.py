@@ -1,0 +1,180 @@
+"""A field that is told from where points lie: records of kinds BY_LASER, TIMES, TOLD and COLUMNS."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.number_forms import (
+    DECIMAL,
+    MOST_DIGITS,
+    Spans,
+    from_bits,
+    from_spans,
+    spans_of,
+    to_bits,
+)
+from salpcc.stages.residual_code.message.column_values import decode_columns, encode_columns, find_shifts
+from salpcc.stages.residual_code.message.firing_times import Clocked, decode_times, encode_times, find_times
+from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
+from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.records import (
+    BY_LASER,
+    COLUMNS,
+    TIMES,
+    TOLD,
+    Integers,
+    Values,
+    flags_of,
+    read_small,
+    small,
+    unpacked,
+)
+
+_BY_LASER = struct.Struct("<I")  # length
+_TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
+_TOLD = struct.Struct("<BBq")  # form, power of ten, origin
+_COLUMNS = struct.Struct("<BqII")  # void, origin, lengths of shifts and values
+
+
+def encode_laser_record(values: Values, points: Points) -> bytes | None:
+    """A field of small numbers that follow from the laser; None where it is none."""
+    if values.dtype.kind == "f" or not points.on_lattice or points.fired is None:
+        return None
+    symbols = to_bits(values)
+    if values.dtype.itemsize == 1:
+        symbols = symbols & 255
+    if symbols.min() < 0 or symbols.max() > 255:
+        return None
+    stream = encode_by_laser(symbols, points.fired.laser, points.fired.lasers)
+    return bytes([BY_LASER]) + _BY_LASER.pack(len(stream)) + stream
+
+
+def decode_laser_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    """Inverse of :func:`encode_laser_record`: the values, and where the record ends; ``at``: behind its kind."""
+    ((length,), at) = unpacked(_BY_LASER, data, at)
+    if points.fired is None or at + length > len(data):
+        raise ArchiveError("payload does not decode")
+    symbols, sound = decode_by_laser(points.fired.laser, points.fired.lasers, data[at : at + length])
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return from_bits(symbols, kind), at + length
+
+
+def encode_times_record(values: Values, points: Points, to_beat: int) -> bytes | None:
+    """A field that goes on from firing to firing; None where it does not, or takes more than ``to_beat`` bytes by far."""
+    if values.dtype.itemsize < 4 or not points.on_lattice or points.fired is None:
+        return None
+    spans = spans_of(values)
+    if spans is None:
+        return None
+    found = find_times(points.fired, spans.low, spans.high, to_beat)
+    if found is None:
+        return None
+    return _times_record(spans, *found)
+
+
+def encode_times_like(record: bytes, values: Values, points: Points) -> bytes | None:
+    """The same with the delays that ``record`` has; None where that cannot be."""
+    *_, shifted, apart, _, n_delays, _ = _TIMES.unpack_from(record, 1)
+    if points.fired is None:
+        return None
+    start = 1 + _TIMES.size
+    delay = read_small(points.fired.lasers + 1, record[start : start + n_delays])
+    return _encode_times_as(Clocked(bool(shifted), apart, delay), values, points)
+
+
+def _encode_times_as(clocked: Clocked, values: Values, points: Points) -> bytes | None:
+    """The same with delays that are known; None where they do not fit."""
+    spans = spans_of(values) if values.dtype.itemsize >= 4 and points.fired is not None else None
+    stream = spans and points.fired and encode_times(points.fired, spans.low, spans.high, clocked)
+    return _times_record(spans, clocked, stream) if spans and stream else None
+
+
+def _times_record(spans: Spans, clocked: Clocked, stream: bytes) -> bytes:
+    delays = small(clocked.delay)
+    head = _TIMES.pack(
+        spans.form, spans.power, clocked.shifted, clocked.apart, spans.origin, len(delays), len(stream)
+    )
+    return bytes([TIMES]) + head + delays + stream
+
+
+def decode_times_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    """Inverse of :func:`encode_times_record`: the values, and where the record ends; ``at``: behind its kind."""
+    (form, power, shifted, apart, origin, n_delays, length), at = unpacked(_TIMES, data, at)
+    end = at + n_delays + length
+    if points.fired is None or form > DECIMAL or power > MOST_DIGITS or shifted > 1 or end > len(data):
+        raise ArchiveError("payload does not decode")
+    delay = read_small(points.fired.lasers + 1, data[at : at + n_delays])
+    numbers, sound = decode_times(
+        points.fired, Clocked(bool(shifted), apart, delay), data[at + n_delays : end]
+    )
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return from_spans(numbers, form, power, origin, kind), end
+
+
+def encode_told_record(values: Values, points: Points) -> bytes | None:
+    """The field that the times of the points are of; None where it is another."""
+    if points.told is None or values.dtype.itemsize < 4:
+        return None
+    spans = spans_of(values)
+    if spans is None or (spans.low != points.told.time).any():
+        return None
+    return bytes([TOLD]) + _TOLD.pack(spans.form, spans.power, spans.origin)
+
+
+def decode_told_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    """Inverse of :func:`encode_told_record`: the values, and where the record ends; ``at``: behind its kind."""
+    (form, power, origin), at = unpacked(_TOLD, data, at)
+    if points.told is None or form > DECIMAL or power > MOST_DIGITS or kind.itemsize < 4:
+        raise ArchiveError("payload does not decode")
+    return from_spans(points.told.time, form, power, origin, kind), at
+
+
+def encode_column_record(values: Values, points: Points) -> bytes | None:
+    """A field that follows from the column of an organised cloud; None where it is none."""
+    if not points.of_rows(values):
+        return None
+    bits = to_bits(values)
+    shifts = find_shifts(bits - bits[0], points.void, points.width)
+    kinds = (0, 1) if points.void.any() else (0,)
+    coded = [_encode_columns_as(shifts, void, values, points) for void in kinds]
+    return min((one for one in coded if one is not None), key=len, default=None)
+
+
+def encode_columns_like(record: bytes, values: Values, points: Points) -> bytes | None:
+    """The same with the shifts that ``record`` has; None where that cannot be."""
+    void, _, n_shifts, _ = _COLUMNS.unpack_from(record, 1)
+    if not points.of_rows(values):
+        return None
+    start = 1 + _COLUMNS.size
+    rows = len(values) // points.width
+    return _encode_columns_as(read_small(rows, record[start : start + n_shifts]), void, values, points)
+
+
+def _encode_columns_as(shifts: Integers, void: int, values: Values, points: Points) -> bytes | None:
+    """The same with shifts that are known; None where values differ too much."""
+    bits = to_bits(values)
+    told = small(shifts)
+    stream = encode_columns(bits - bits[0], flags_of(points, void), points.width, shifts)
+    if stream is None:
+        return None
+    return bytes([COLUMNS]) + _COLUMNS.pack(void, int(bits[0]), len(told), len(stream)) + told + stream
+
+
+def decode_column_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    """Inverse of :func:`encode_column_record`: the values, and where the record ends; ``at``: behind its kind."""
+    (void, origin, n_shifts, length), at = unpacked(_COLUMNS, data, at)
+    end = at + n_shifts + length
+    n = len(points.void)
+    if points.width < 2 or n % points.width or void > 1 or end > len(data):
+        raise ArchiveError("payload does not decode")
+    shifts = read_small(n // points.width, data[at : at + n_shifts])
+    integers, sound = decode_columns(flags_of(points, void), points.width, shifts, data[at + n_shifts : end])
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return from_bits(integers + origin, kind), end

@@ -1,0 +1,45 @@
+"""What records of fields are made of: their kinds, heads, and small columns."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.residual_code.message.points import Points
+
+CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD, BLENDED, LEARNED = range(9)
+Values = NDArray[Any]
+Integers = NDArray[np.int64]
+
+
+def small(values: Integers) -> bytes:
+    """Encode a small column ``(N,)``."""
+    return run_encoder(
+        lambda out: int(encode_integers(values[:, None], integer_model(1), out)), 16 * len(values)
+    )
+
+
+def read_small(n: int, data: bytes) -> Integers:
+    """Inverse of :func:`small`, of ``n`` values."""
+    rows, sound = decode_integers(n, 1, integer_model(1), np.frombuffer(bytearray(data), np.uint8))
+    if not sound:
+        raise ArchiveError("payload does not decode")
+    return rows[:, 0]
+
+
+def unpacked(what: struct.Struct, data: bytes, at: int) -> tuple[tuple[Any, ...], int]:
+    """Return the numbers of a head at ``at``, and where it ends."""
+    if at + what.size > len(data):
+        raise ArchiveError("payload does not decode")
+    return what.unpack_from(data, at), at + what.size
+
+
+def flags_of(points: Points, void: int) -> NDArray[np.bool_]:
+    """Mark the points ``(N,)`` that count as void: none with ``void`` 0."""
+    return points.void if void else np.zeros(len(points.void), np.bool_)
