@@ -28,8 +28,10 @@ from salpcc.stages.strays.aimed_stream import (
 from salpcc.stages.strays.aimed_symbols import AIMED, OFF
 from salpcc.stages.strays.learned import Learned, LearnedLists
 from salpcc.stages.strays.list_layout import likely_layouts
+from salpcc.stages.strays.moved_sweep import Clock
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import ALONG, BITS
+from salpcc.stages.strays.timeline import Passed
 
 MOST_POINTS = 1 << 22
 OFF_LASER = 255
@@ -52,6 +54,7 @@ def choose(
     motion: Motion,
     settled: bool,
     s: NDArray[np.float64] | None = None,
+    clock: Clock | None = None,
     like: Layout | None = None,
     learned: Learned | None = None,
 ) -> tuple[Way, Aimed] | None:
@@ -60,7 +63,7 @@ def choose(
     Args:
         form, per: of corrections; ALONG where an error is allowed.
         settled: the points were put there before, and no bit may change.
-        s: of each point ``(S,)``, where the motion is by time.
+        s, clock: of each point ``(S,)``, and of the cloud, where the motion is by time.
         like: the layout that is taken without a trial, where it is a likely one.
         learned: of such points before, for efforts above ``fast``.
     """
@@ -73,7 +76,7 @@ def choose(
         layouts = [(find_firing(points.astype(np.float64)), 1)]
         if layouts[0][0] < 2:
             return None
-    way = Way(layouts[0], form, per, exact, step_of(0.0 if exact else max_error, sensor), moved, s)
+    way = Way(layouts[0], form, per, exact, step_of(0.0 if exact else max_error, sensor), moved, s, clock)
     reach = EXACT_REACH if exact else (0.0 if settled else max_error)
     aimed = put(points, sensor, way, reach)
     if (aimed.kinds != OFF).mean() < _LEAST_SHARE:
@@ -130,6 +133,7 @@ def read_body(
     motion: Motion,
     read_rest: Callable[[int, Array], tuple[F32, bool]],
     s: NDArray[np.float64] | None = None,
+    clock: Clock | None = None,
     lists: LearnedLists | None = None,
 ) -> tuple[F32, Array, bool]:
     """Inverse of :func:`write_body`: points ``(n, 3)``, their lasers ``(n,)`` (OFF_LASER off the lattice), and whether the data made sense."""
@@ -151,7 +155,7 @@ def read_body(
         return nothing
     moved = None if motion is None else tuple(motion.tolist())
     learned = lists.of_number(number) if lists is not None and number else None
-    way = Way(layout, form, per, form != ALONG, step, moved, s, learned)
+    way = Way(layout, form, per, form != ALONG, step, moved, s, clock, learned)
     aimed, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]))
     if learned is not None:
         learned.settle()
@@ -171,6 +175,12 @@ def lasers_of(aimed: Aimed) -> Array:
 def number_of(body: bytes) -> int:
     """The number of what a body that :func:`write_body` wrote goes on from; 0: of nothing."""
     return body[0] >> 4
+
+
+def passed_of(body: Array, lists: LearnedLists | None) -> Passed | None:
+    """Where the points of a body that :func:`read_body` has read were in the list before, if that is known."""
+    number = int(body[0]) >> 4 if len(body) else 0
+    return None if lists is None or not number else lists.of_number(number).passed
 
 
 def count_off(body: bytes) -> int:

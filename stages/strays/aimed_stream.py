@@ -19,7 +19,7 @@ from salpcc.stages.lattice.trig import TWO_PI, turn_tables
 from salpcc.stages.strays.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed, new_room
 from salpcc.stages.strays.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
 from salpcc.stages.strays.learned import Learned
-from salpcc.stages.strays.learned_counts import Turn
+from salpcc.stages.strays.moved_sweep import Clock, Passing, Turn
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import GRID
 
@@ -48,8 +48,8 @@ class Aimed:
 class Way:
     """How points are coded: the layout, form and units of corrections, counts per level, and the ``motion`` that moved them.
 
-    ``s``: of each point ``(S,)`` where times tell it; else it follows from the place in the list. ``learned``: of such lists before, for
-    efforts above ``fast``.
+    ``s``: of each point ``(S,)`` where times tell it, by the ``clock``; else it follows from the place in the list. ``learned``: of such lists before,
+    for efforts above ``fast``.
     """
 
     layout: Layout
@@ -59,6 +59,7 @@ class Way:
     step: int
     motion: tuple[float, ...] | None
     s: NDArray[np.float64] | None = None
+    clock: Clock | None = None
     learned: Learned | None = None
 
     def places(self, n: int) -> NDArray[np.float64]:
@@ -176,7 +177,12 @@ def _code(
     room = new_room(len(points), way.layout[0], sensor.n_lasers)
     learned = None
     if way.learned is not None and reach == 0.0:
-        learned = way.learned.walk(Turn(room.azimuth, room.inverse, room.links, room.ends))
+        passing = None
+        if way.clock is not None and way.motion is not None:
+            known = aimed.kinds, aimed.laser, aimed.tick, aimed.level
+            passing = Passing(*known, np.array(way.motion), way.clock)
+        own = Turn(room.azimuth, room.inverse, room.links, room.ends, np.zeros(0, np.int64))
+        learned = way.learned.walk(own, passing, sensor)
     code_aimed(
         writing, points, aimed.kinds, aimed.laser, aimed.tick, aimed.level, *way.layout, way.form, float(way.per), way.exact,
         way.step, reach, _tables(sensor), motion, new_models(), room, learned, state, data,

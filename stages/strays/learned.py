@@ -5,25 +5,28 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from salpcc.stages.entropy.mixed_numbers import copied
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.strays.learned_counts import (
     CountModels,
     CountSeen,
-    Turn,
     new_count_models,
     no_counts,
-    no_turn,
 )
 from salpcc.stages.strays.learned_order import OrderModels, OrderSeen, new_order_models, nothing_seen
+from salpcc.stages.strays.moved_sweep import Passing, Turn, no_turn, seen_later
+from salpcc.stages.strays.timeline import Passed
 
 MOST_LISTS = 15  # topics of a group that learn; the others are coded as ``fast`` does
 
 
 class Known(NamedTuple):
-    """Models, which adapt, and the sweep before."""
+    """Models, which adapt, and the sweep before; ``passing``: of a sensor whose motion is known; how many lists there were."""
 
     order: OrderModels
     counts: CountModels
     turn: Turn
+    passing: Passing | None
+    lists: int
 
 
 class Walk(NamedTuple):
@@ -40,14 +43,19 @@ class Learned:
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self._known = Known(new_order_models(), new_count_models(), no_turn())
+        self._known = Known(new_order_models(), new_count_models(), no_turn(), None, 0)
         self._tried = self._known
+        self.passed: Passed | None = None  # of the last walk
 
-    def walk(self, own: Turn) -> Walk:
-        """Begin a scan with copies of all that is known; ``own``: what it will tell the next one."""
-        order, counts = copied(self._known.order), copied(self._known.counts)
-        self._tried = Known(order, counts, own)
-        return Walk(order, nothing_seen(), counts, no_counts(len(own.azimuth), self._known.turn))
+    def walk(self, own: Turn, passing: Passing | None, sensor: SensorModel) -> Walk:
+        """Begin a scan with copies of all that is known; ``own``, ``passing``: what it will tell the next one."""
+        known = self._known
+        order, counts = copied(known.order), copied(known.counts)
+        self._tried = Known(order, counts, own, passing, known.lists + 1)
+        seen = seen_later(known.passing, passing, sensor)
+        counted = no_counts(len(own.azimuth), known.turn, seen)
+        self.passed = Passed(known.lists + 1, counted.there)
+        return Walk(order, nothing_seen(), counts, counted)
 
     def settle(self) -> None:
         """Keep what the last walk learned."""

@@ -1,7 +1,8 @@
 """The count of a point as efforts above ``fast`` learn it: a mixture of what its neighbours and the sweep before say.
 
 The guesses of 1/d are those of :mod:`.aimed_neighbours`; where the sensor stands still, the point of the same laser nearest in azimuth in the sweep before
-says most; where it moves, what was there plus what has changed next to it.
+says most; where it moves, what was there plus what has changed next to it, and, if the motion is known, the same of the sweep before as it is seen now
+(:mod:`.moved_sweep`).
 """
 
 from __future__ import annotations
@@ -26,28 +27,21 @@ from salpcc.stages.entropy.mixed_numbers import (
 from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import Buffer, State
 from salpcc.stages.strays.aimed_neighbours import nearest_of
+from salpcc.stages.strays.moved_sweep import Turn
 
 _SIZES, _SPREADS, _SIGNED, _LASERS = 16, 12, 9, 256
 _CONTEXTS = (_SPREADS * _SIZES, _SPREADS * _SIGNED * _SIGNED, _SPREADS * _SIGNED * _SIGNED, _LASERS)
 _FIRST = first_places(_CONTEXTS)
 _TOOK = np.array([0, 1, 2, 4])  # of the guesses of 1/d: same, straight on, above, below
-_BEFORE = 2  # guesses by the sweep before
-_MOST = len(_TOOK) + 2 + _BEFORE
-_NEAR = 0.0005  # turns; what was farther off in the sweep before says nothing
+_SWEEPS, _BEFORE = 2, 2  # the sweep before as it was, and as it is seen now; guesses by each
+_OWN = len(_TOOK) + 2  # other guesses
+_MOST = _OWN + _SWEEPS * _BEFORE
+_NEAR, _NEAR_MOVED = 0.0005, 0.001  # turns; what was farther off in the sweep before says nothing
 _WIDER, _LEAST, _LEAST_BEFORE = 0.3, 0.25, 0.4  # widths: of how far off a guess was, and at least, in levels
 _UNKNOWN = 0.02  # of the distance
 
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
-
-
-class Turn(NamedTuple):
-    """The points ``(n,)`` of a sweep: azimuth in ticks, 1/d, and the rings of :func:`.aimed_neighbours.link`."""
-
-    azimuth: F64
-    inverse: F64
-    links: I64
-    ends: I64
 
 
 class CountModels(NamedTuple):
@@ -61,14 +55,17 @@ class CountSeen(NamedTuple):
     """What a sweep of n points has shown so far, and room to work in.
 
     Attributes:
-        before: the sweep before, whose ``cursor (256, 1)`` goes along.
-        was: of each point ``(n,)`` 1/d in the sweep before, 0 where that says nothing; ``off (n, 2)`` how far off the guesses by it were.
+        before, seen: the sweep before as it was, and as it is seen now, if that is known; ``cursor (256, 2)`` goes along with them.
+        was: of each point ``(n, 2)`` 1/d in these, 0 where that says nothing; ``there (n,)`` its place in the list before, as it is seen now, -1: none;
+            ``off (n, 4)`` how far off the guesses by them were.
         missed, sizes: of each point, how far off the centre it was in spreads, and the size of that in levels.
     """
 
     before: Turn
+    seen: Turn
     cursor: I64
     was: F64
+    there: I64
     off: NDArray[np.float32]
     missed: NDArray[np.float32]
     sizes: NDArray[np.uint8]
@@ -84,19 +81,15 @@ def new_count_models() -> CountModels:
     )
 
 
-def no_turn() -> Turn:
-    """Return what stands before the first sweep."""
-    none = np.zeros((0, 2), np.int64)
-    return Turn(np.zeros(0), np.zeros(0), none, none)
-
-
-def no_counts(n: int, before: Turn) -> CountSeen:
+def no_counts(n: int, before: Turn, seen: Turn) -> CountSeen:
     """Return what is known before the first of ``n`` points."""
     return CountSeen(
         before,
-        np.full((_LASERS, 1), -1),
-        np.zeros(n),
-        np.zeros((n, _BEFORE), np.float32),
+        seen,
+        np.full((_LASERS, _SWEEPS), -1),
+        np.zeros((n, _SWEEPS)),
+        np.full(n, -1),
+        np.zeros((n, _SWEEPS * _BEFORE), np.float32),
         np.zeros(n, np.float32),
         np.zeros(n, np.uint8),
         new_guesses(_MOST),
@@ -124,25 +117,25 @@ def signed_bucket(value: float) -> int:
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def _guess_before(seen: CountSeen, i, place, upper, lower, scale, spread, trust, of, inverse, n):  # type: ignore[no-untyped-def]
-    """Add guesses by the sweep before, if it had something at ``seen.was[i]``; return how many there are now."""
+def _guess_before(seen: CountSeen, w, i, place, upper, lower, scale, spread, trust, of, inverse, n):  # type: ignore[no-untyped-def]
+    """Add guesses by the sweep before, which had something at ``seen.was[i, w]``; return how many there are now."""
     was, off, guesses = seen.was, seen.off, seen.guesses
     d0, unit, middle = scale
     near = far = count = 0.0
     for j in (place, upper, lower):
-        if j >= 0 and was[j] > 0.0:
-            near += off[j, 0]
-            far += off[j, 1]
+        if j >= 0 and was[j, w] > 0.0:
+            near += off[j, 2 * w]
+            far += off[j, 2 * w + 1]
             count += 1.0
     near = near / count if count > 0.0 else _UNKNOWN
     far = far / count if count > 0.0 else _UNKNOWN
     for which in range(_BEFORE):
-        value = was[i]
+        value = was[i, w]
         if which == 1:
-            if place < 0 or was[place] == 0.0:
+            if place < 0 or was[place, w] == 0.0:
                 break
-            value = min(max(inverse[place] + value - was[place], 1e-3), 10.0)
-        wide = (near if which == 0 else far) / was[i] / unit
+            value = min(max(inverse[place] + value - was[place, w], 1e-3), 10.0)
+        wide = (near if which == 0 else far) / was[i, w] / unit
         guesses.mean[n] = (1.0 / value - d0) / unit - middle
         guesses.per[n] = 1.0 / (wide * _WIDER + _LEAST_BEFORE)
         guesses.weight[n] = trust[of, n] * (1.0 if which == 0 else 0.3) * spread / (wide + spread + 0.1)
@@ -194,21 +187,29 @@ def code_count(  # type: ignore[no-untyped-def]
             trust[of, n],
         )
         n += 1
-    before = seen.before
-    was[i] = 0.0
-    if len(before.azimuth) > 0 and before.ends[k, 1] >= 0:
+    for w in range(_SWEEPS):
+        before = seen.before if w == 0 else seen.seen
+        was[i, w] = 0.0
+        if len(before.azimuth) == 0 or before.ends[k, 1] < 0:
+            continue
         at, off = nearest_of(
-            azimuth[i], k, seen.cursor, k, 0, ticks, before.azimuth, before.links, before.ends
+            azimuth[i], k, seen.cursor, k, w, ticks, before.azimuth, before.links, before.ends
         )
-        if abs(off) < _NEAR * ticks:
-            was[i] = before.inverse[at]
-            n = _guess_before(seen, i, place, upper, lower, scale, spread, trust, of, inverse, n)
+        if abs(off) < (_NEAR if w == 0 else _NEAR_MOVED) * ticks:
+            while n < _OWN + w * _BEFORE:  # every guess has its place, and a trust of its own
+                guesses.mean[n], guesses.per[n], guesses.weight[n] = together, 1.0, 0.0
+                n += 1
+            was[i, w] = before.inverse[at]
+            if w == 1:
+                seen.there[i] = before.places[at]
+            n = _guess_before(seen, w, i, place, upper, lower, scale, spread, trust, of, inverse, n)
     centre = min(max(weigh(guesses, n, together), 0.0), np.float64(most))
     size = np.int64(seen.sizes[place]) if place >= 0 else _SIZES - 1
     wide = bucket_by(spread, 0.5, 1.6, _SPREADS)
     grain = 1.0 / (spread + 0.5)
     of_place = signed_bucket((guesses.mean[0] - centre) * grain)
-    of_before = signed_bucket(((1.0 / was[i] - d0) / unit - middle - centre) * grain) if was[i] > 0.0 else 4
+    best = was[i, 1] if was[i, 1] > 0.0 else was[i, 0]
+    of_before = signed_bucket(((1.0 / best - d0) / unit - middle - centre) * grain) if best > 0.0 else 4
     missed = signed_bucket(seen.missed[place]) if place >= 0 else 4
     missed_above = signed_bucket(seen.missed[upper]) if upper >= 0 else 4
     places[0] = bucket_by(apart, 1.0, 1.6, _SPREADS) * _SIZES + size
@@ -234,11 +235,13 @@ def code_count(  # type: ignore[no-untyped-def]
     learn_trust(found, guesses, n, trust, of)
     seen.missed[i] = (found - centre) * grain
     seen.sizes[i] = min(size_of(abs(found - np.int64(np.floor(centre + 0.5)))), _SIZES - 1)
-    if was[i] > 0.0:
-        d = max((found + middle) * unit + d0, 1e-3)
-        changed = was[i]
-        if place >= 0 and was[place] > 0.0:
-            changed = min(max(inverse[place] + changed - was[place], 1e-3), 10.0)
-        seen.off[i, 0] = min(abs(was[i] * d - 1.0), 1.0)
-        seen.off[i, 1] = min(abs(changed * d - 1.0), 1.0)
+    d = max((found + middle) * unit + d0, 1e-3)
+    for w in range(_SWEEPS):
+        if was[i, w] == 0.0:
+            continue
+        changed = was[i, w]
+        if place >= 0 and was[place, w] > 0.0:
+            changed = min(max(inverse[place] + changed - was[place, w], 1e-3), 10.0)
+        seen.off[i, 2 * w] = min(abs(was[i, w] * d - 1.0), 1.0)
+        seen.off[i, 2 * w + 1] = min(abs(changed * d - 1.0), 1.0)
     return found

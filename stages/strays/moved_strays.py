@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.columns import LEFT, decode_residuals, encode_residuals
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import timed_places
-from salpcc.stages.strays.aimed_strays import MOST_POINTS, lasers_of, read_body, write_body
+from salpcc.stages.strays.aimed_strays import MOST_POINTS, lasers_of, passed_of, read_body, write_body
 from salpcc.stages.strays.aimed_stream import Aimed, Way
 from salpcc.stages.strays.learned import LearnedLists
+from salpcc.stages.strays.moved_sweep import Clock
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.timeline import I64, Timeline
 
@@ -44,7 +45,7 @@ def write_moved(
     first = int(time[0])
     column = encode_residuals(time - first, np.zeros(len(time), np.bool_), 1, LEFT, _WIDTH)
     times = _FIRST.pack(first) + column
-    told = Timeline(lasers_of(aimed), time, 0)
+    told = Timeline(lasers_of(aimed), time, 0, None if way.learned is None else way.learned.passed)
     return _LENGTH.pack(len(times)) + times + _MOTION.pack(reference, *way.motion) + body, told
 
 
@@ -74,8 +75,10 @@ def read_moved(
     time = time + first
     s = timed_places(time, float(numbers[0]))
     body = np.ascontiguousarray(data[begin + _MOTION.size :])
-    points, laser, sound = read_body(n, layout, per, True, body, sensor, numbers[1:], read_rest, s, lists)
-    return points, Timeline(laser, time, 0), sound
+    points, laser, sound = read_body(
+        n, layout, per, True, body, sensor, numbers[1:], read_rest, s, Clock.of(time), lists
+    )
+    return points, Timeline(laser, time, 0, passed_of(body, lists)), sound
 
 
 def body_of(data: bytes) -> bytes:

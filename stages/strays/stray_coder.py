@@ -26,6 +26,7 @@ from salpcc.stages.strays.fit_turning import Fitted
 from salpcc.stages.strays.learned import Learned, LearnedLists
 from salpcc.stages.strays.list_layout import find_layout
 from salpcc.stages.strays.moved_strays import body_of, read_moved, write_moved
+from salpcc.stages.strays.moved_sweep import Clock
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID, HALVES
 from salpcc.stages.strays.ray_stream import move_points, read_points, write_points
@@ -156,7 +157,7 @@ def _moved_in_time(
         return None
     motion, reference = found
     s = timed_places(times, reference)
-    chosen = choose(points, fix, per, 0.0, sensor, motion, True, s, like, learned)
+    chosen = choose(points, fix, per, 0.0, sensor, motion, True, s, Clock.of(times), like, learned)
     moved = write_moved(chosen, points, sensor, times, reference, _rest) if chosen else None
     if chosen is None or moved is None:
         return None

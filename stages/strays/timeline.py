@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -33,13 +34,24 @@ I64 = NDArray[np.int64]
 Lasers = NDArray[np.uint8]
 
 
+class Passed(NamedTuple):
+    """The number of a list in its group, from 1 on, and where its points were in the list before ``(N,)``; -1: nowhere."""
+
+    number: int
+    there: I64
+
+
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Lasers ``(N,)`` and times ``(N,)``, whole numbers, of points in the order of a list; ``groups``: lasers of a sensor, 0 for all."""
+    """Lasers ``(N,)`` and times ``(N,)``, whole numbers, of points in the order of a list; ``groups``: lasers of a sensor, 0 for all.
+
+    ``passed``: where these points were in the list before, for efforts above ``fast``.
+    """
 
     laser: Lasers
     time: I64
     groups: int
+    passed: Passed | None = None
 
     @property
     def group(self) -> I64:

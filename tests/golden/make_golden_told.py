@@ -24,9 +24,9 @@ SENSOR = "pandar64"
 FIRINGS = 60
 
 
-def turn() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def turn(seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of a turn that a car in motion measured, their lasers, and times in ns; a fifth is missing."""
-    sensor, rng = load_sensor(SENSOR), np.random.default_rng(0)
+    sensor, rng = load_sensor(SENSOR), np.random.default_rng(seed)
     laser = np.tile(np.arange(sensor.n_lasers), FIRINGS)
     firing = np.repeat(np.arange(FIRINGS), sensor.n_lasers)
     count = np.rint((9.0 + np.sin(firing / 7) + rng.normal(0, 0.01, len(laser))) / sensor.count)
@@ -66,12 +66,26 @@ def learned(scans: list[np.ndarray]) -> dict[str, bytes]:
     return written
 
 
+def driven_past(turns: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> dict[str, bytes]:
+    """The same of scans that a car in motion measured, one after the other."""
+    sensor, lists, modes, written = load_sensor(SENSOR), LearnedLists(), FieldModes(True), {}
+    for number, (points, laser, time) in enumerate(turns):
+        time = time + 100_000_000 * number
+        found = plan(points, 0.0, sensor, lanes=laser, times=time, learned=lists.of_topic("/a"))
+        written[f"passed_{number}"] = encode_strays(np.arange(len(points)), found)
+        lists.settle(1)
+        known = Points.of(points, 0, sensor, found.told)
+        written[f"shine_{number}"] = modes.encode(("/a", "shine"), shine_of(points, 3.0), known)
+    return written
+
+
 def main() -> None:
     points, laser, time = turn()
     sensor = load_sensor(SENSOR)
     halves = points.astype(np.float16).astype(np.float32)
     shine = shine_of(points)
     scans = [standing(seed) for seed in (2, 3)]
+    turns = [turn(seed) for seed in (4, 5)]
     around = Points.of(points, 0, sensor).around(1)
     assert around is not None
     streams = {
@@ -79,6 +93,7 @@ def main() -> None:
         "timed": encode_strays(np.arange(len(points)), plan(halves, 0.0, lanes=laser, times=time)),
         "blended": encode_blended(shine, around),
         **learned(scans),
+        **driven_past(turns),
     }
     expected: dict[str, object] = {
         "n": len(points),
@@ -87,6 +102,9 @@ def main() -> None:
         "blended": zlib.crc32(shine.tobytes()),
         "learned": [
             [len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan, 3.0))] for scan in scans
+        ],
+        "passed": [
+            [len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan, 3.0))] for scan, _, _ in turns
         ],
         "time": zlib.crc32(time.astype("<i8").tobytes()),
     }

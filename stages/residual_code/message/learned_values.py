@@ -26,6 +26,7 @@ from salpcc.stages.entropy.mixed_numbers import (
 )
 from salpcc.stages.strays.aimed_neighbours import link, nearest_of
 from salpcc.stages.strays.learned_counts import bucket_by, signed_bucket
+from salpcc.stages.strays.timeline import Passed
 
 AROUND = 7  # values looked at, the last by the guide
 _MOST = AROUND + 2 + 2
@@ -68,6 +69,7 @@ class ValueWalk(NamedTuple):
     Attributes:
         turn: ticks in one; 0: an organised cloud, whose places are those of the scan before.
         before, own: the scan before, and this one; ``cursor (257, 1)`` goes along with the former.
+        there: where points were in the scan before ``(n,)``, -1: nowhere; empty where that is not told.
         off: of each point ``(n,)`` how far off the scan before was; ``missed (n,)`` how far off the centre it was, in spreads.
         following: of each point the next one of its laser or row; -1: none.
         apart, alike: of what lies around ``(AROUND,)``: how far apart the ranges are, and what it counts.
@@ -78,6 +80,7 @@ class ValueWalk(NamedTuple):
     before: Picture
     own: Picture
     cursor: I64
+    there: I64
     off: NDArray[np.float32]
     missed: NDArray[np.float32]
     following: I64
@@ -109,6 +112,8 @@ def _following(laser: I64, void: Flags, width: int) -> I64:
 def _find_before(walk: ValueWalk, i: int, k: int) -> int:
     """The place in the scan before that is that of point i of laser k; -1: none."""
     before = walk.before
+    if len(walk.there) > 0:
+        return walk.there[i]
     if walk.turn == 0:
         same = len(before.values) == len(walk.own.values) and not before.void[i]
         return i if same else -1
@@ -199,15 +204,18 @@ class LearnedField:
     def __init__(self) -> None:
         trust = np.ones((1, _MOST))
         self._models = ValueModels(new_numbers(int(_FIRST[-1]), _SPREADS, len(_CONTEXTS)), trust)
-        self._before: tuple[int, Picture] | None = None
-        self._tried: dict[int, tuple[ValueModels, Picture]] = {}
+        self._before: tuple[int, Picture, int] | None = None
+        self._tried: dict[int, tuple[ValueModels, Picture, int]] = {}
 
-    def walk(self, way: int, around: Any, tick: I64 | None, turn: int) -> ValueWalk:
+    def walk(
+        self, way: int, around: Any, tick: I64 | None, turn: int, passed: Passed | None = None
+    ) -> ValueWalk:
         """Begin a scan with copies of what is known.
 
         Args:
             way: of neighbourhoods; the scan before tells something where it had the same.
             around: as :mod:`.blended_values` takes it; ``tick``: of the points, where lasers have told theirs; ``turn``: ticks in one.
+            passed: where the points were in the scan before, if their own stream tells.
         """
         void, ranges, width, laser = around[:4]
         n = len(void)
@@ -217,13 +225,21 @@ class LearnedField:
         links, ends = np.full((n if told else 0, 2), -1), np.full((_LASERS, 2), -1)
         own = Picture(at, np.zeros(n, np.int64), ranges, void, links, ends)
         before = self._before[1] if self._before is not None and self._before[0] == way else _NOTHING
-        self._tried[way] = models, own
+        there, number = np.zeros(0, np.int64), 0
+        if passed is not None:
+            number = passed.number
+            follows = self._before is not None and self._before[2] == number - 1
+            told, there = True, passed.there if follows else np.full(n, -1)
+            if there.max(initial=-1) >= len(before.values):  # of a damaged archive, or of another way
+                there = np.full(n, -1)
+        self._tried[way] = models, own, number
         return ValueWalk(
             models,
-            turn if told else 0,
+            turn,
             before if told or width > 0 else _NOTHING,
             own,
             np.full((_LASERS, 1), -1),
+            there,
             np.full(n, _UNKNOWN, np.float32),
             np.zeros(n, np.float32),
             _following(laser, void, width),
@@ -237,7 +253,8 @@ class LearnedField:
     def settle(self, way: int | None) -> None:
         """Keep what the walk of this way learned; None: of none."""
         if way is not None:
-            self._models, self._before = self._tried[way][0], (way, self._tried[way][1])
+            models, picture, number = self._tried[way]
+            self._models, self._before = models, (way, picture, number)
         self._tried.clear()
 
 

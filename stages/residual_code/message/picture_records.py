@@ -54,7 +54,9 @@ def _encode_as(ways: list[int], values: Values, points: Points, learned: Learned
         around = points.around(what)
         if around is not None:
             stream = encode_blended(
-                integers, around, None if learned is None else learned.walk(what, around, *points.ticks(what))
+                integers,
+                around,
+                None if learned is None else learned.walk(what, around, *points.ticks(what), points.passed),
             )
             kind = BLENDED if learned is None else LEARNED
             coded.append(bytes([kind]) + _BLENDED.pack(what, form, scale, len(stream)) + stream)
@@ -75,7 +77,7 @@ def decode_picture(
     sound = form == (DECIMAL if kind.kind == "f" else BITS) and scale < len(SCALES)
     if around is None or not sound or at + length > len(data):
         raise ArchiveError("payload does not decode")
-    walk = None if learned is None else learned.walk(what, around, *points.ticks(what))
+    walk = None if learned is None else learned.walk(what, around, *points.ticks(what), points.passed)
     integers, sound = decode_blended(around, data[at : at + length], walk)
     if learned is not None:
         learned.settle(what)

@@ -13,7 +13,7 @@ from salpcc.stages.lattice.aim import lies_on
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.blended_values import Around
 from salpcc.stages.residual_code.message.firing_times import Fired, fired_by
-from salpcc.stages.strays.timeline import LASERS, Timeline
+from salpcc.stages.strays.timeline import LASERS, Passed, Timeline
 
 # What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide.
 LISTED, FIRED, ROWS, GUIDED = range(4)
@@ -99,6 +99,11 @@ class Points:
         if what % GUIDED != FIRED or self.told is not None or self.fired is None:
             return None, 0
         return self.fired.tick, self.fired.ticks
+
+    @property
+    def passed(self) -> Passed | None:
+        """Where the points were in the cloud before, if their own stream tells."""
+        return None if self.told is None else self.told.passed
 
     @cached_property
     def on_lattice(self) -> bool:

@@ -55,6 +55,26 @@ def test_gives_the_same_values_and_bytes() -> None:
     assert encode_blended(values, around) == data
 
 
+def test_gives_the_same_points_and_values_of_a_sensor_that_moves() -> None:
+    lists, modes = LearnedLists(), FieldModes()
+    for number, (n, of_points, of_values) in enumerate(EXPECTED["passed"]):
+        data = (TOLD / f"passed_{number}.bin").read_bytes()
+        assert [data[4], learned_number(data)] == [MOVED, 1]
+        read = np.frombuffer(bytearray(data), np.uint8)
+        _, points, told, sound = decode_strays(n, 0.0, read, SENSOR, lists=lists)
+        assert sound
+        assert told is not None
+        assert told.passed is not None
+        assert (told.passed.there >= 0).any() == (number > 0)
+        assert zlib.crc32(points.tobytes()) == of_points
+        record = (TOLD / f"shine_{number}.bin").read_bytes()
+        assert record[0] == LEARNED
+        known = Points.of(points, 0, SENSOR, told)
+        values, end = modes.decode(("/a", "shine"), record, 0, np.dtype(np.int64), known)
+        assert end == len(record)
+        assert zlib.crc32(values) == of_values
+
+
 def test_gives_the_same_learned_points_and_values_and_bytes() -> None:
     lists, again, modes, modes_again = LearnedLists(), LearnedLists(), FieldModes(), FieldModes(True)
     for number, (n, of_points, of_values) in enumerate(EXPECTED["learned"]):
