@@ -13,7 +13,7 @@ from salpcc.stages.predict.learned.previous_sweep import warp
 from salpcc.stages.predict.learned.range_model import LEVEL_LIMIT, count_levels, predict_ranges
 from salpcc.stages.predict.learned.shipped import load_models
 from salpcc.stages.predict.ring_starts import ring_starts
-from salpcc.stages.predict.static.coder import intensity_contexts, level_contexts
+from salpcc.stages.predict.static.coder import contexts
 from salpcc.stages.predict.sweep_walk import supports
 
 __all__ = ["INTENSITY_OF_LEVEL", "effective_effort", "intensity_levels", "predict", "predict_sweeps"]
@@ -35,9 +35,9 @@ def predict(sweep: Sweep, sensor: SensorModel, effort: str, before: Sweep | None
     given = (starts, sweep.tick, sweep.count, sweep.step)
     values = intensity_levels(sweep.intensity)
     if effort == "fast":
-        context, residual = level_contexts(*given, sensor)
-        of_values = None if values is None else intensity_contexts(*given[:3], values)
-        return Prediction(effort, residual, context, of_values)
+        found = contexts(*given, sensor) if values is None else contexts(*given, sensor, values)
+        of_values = None if values is None else found.of_values
+        return Prediction(effort, found.residual, found.of_levels, of_values)
     learned = load_models(effort)
     warped = warp(before, sweep.motion, sensor) if learned.looks_back else None
     ranges = predict_ranges(*given, sensor, learned.ranges, warped)

@@ -16,7 +16,7 @@ from salpcc.pipeline import Archive, Scan, encode_scans
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.predict.learned import intensity_model, range_model
-from salpcc.stages.predict.static import intensities, levels
+from salpcc.stages.predict.static.walk import walk
 
 
 @pytest.fixture
@@ -205,5 +205,5 @@ def test_threads_decode_no_further_ahead_than_their_number(
 
 
 def test_the_heavy_kernels_run_without_the_lock_of_the_interpreter() -> None:
-    for kernel in (range_model.walk, intensity_model.walk, levels.walk_levels, intensities.walk_intensities):
+    for kernel in (range_model.walk, intensity_model.walk, walk):
         assert kernel.targetoptions["nogil"]

@@ -4,7 +4,7 @@ Lanes never mix unless a function says so, and every operation is an IEEE or int
 bits whatever registers a machine has: kernels are compiled through portable LLVM IR. Outside of compiled code the
 same names work on NumPy arrays, so a kernel's Python source is its own twin.
 
-``+ - * / >> < >`` take two vectors of a type, or a vector and a scalar of its lanes' type. Numbers of lanes are
+``+ - * / >> < > >=`` take two vectors of a type, or a vector and a scalar of its lanes' type. Numbers of lanes are
 constants.
 """
 
@@ -244,6 +244,7 @@ for _function, _floats, _integers in (
     _define_each(_function, _floats, _integers)
 _define_each(operator.lt, "<", "<", of_lanes=False)
 _define_each(operator.gt, ">", ">", of_lanes=False)
+_define_each(operator.ge, ">=", ">=", of_lanes=False)
 
 
 def _vector_at(builder: Any, place: Any, at: Any, kind: Any) -> Any:

@@ -2,43 +2,47 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.rans import LOWEST, Words, finish, push
+from salpcc.stages.entropy.rans import LOWEST, Slots, Words, finish, push
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.static.count_tables import StaticTables, table_of
-from salpcc.stages.predict.static.intensities import ESCAPE, walk_intensities
-from salpcc.stages.predict.static.levels import laser_table, walk_levels
+from salpcc.stages.predict.static.intensities import ESCAPE, VALUES
+from salpcc.stages.predict.static.levels import laser_table
 from salpcc.stages.predict.static.tokens import put
+from salpcc.stages.predict.static.walk import Values, walk
 
 Starts = NDArray[np.int64]
 Ints = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
 _NO_WORDS = np.zeros(0, np.uint32)
-_NO_STARTS = np.zeros((0, 0), np.uint16)
-_NO_GUIDE = np.zeros((0, 0), np.uint8)
+_NO_SLOTS = Slots(np.zeros((0, 0), np.uint64), np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.uint32))
+_NO_BYTES, _NO_SHORTS, _NO_INTS = np.zeros(0, np.uint8), np.zeros(0, np.uint16), np.zeros(0, np.int32)
 
 
-def level_contexts(
-    starts: Starts, tick: Ints, level: Ints, step: int, sensor: SensorModel
-) -> tuple[Bytes, Ints]:
-    """Return context uint8 and residual int32 of each level ``(M,)``."""
-    context, residual = np.empty(len(level), np.uint8), np.empty(len(level), np.int32)
-    walk_levels(
-        False, starts, tick, level, step, laser_table(sensor), context, residual,
-        _NO_STARTS, _NO_GUIDE, _NO_WORDS,
-    )  # fmt: skip
-    return context, residual
+class Contexts(NamedTuple):
+    """Of levels: context uint8 and residual int32 ``(M,)``; of intensities: context uint16 ``(M,)``, or none."""
+
+    of_levels: Bytes
+    residual: Ints
+    of_values: NDArray[np.uint16]
 
 
-def intensity_contexts(starts: Starts, tick: Ints, level: Ints, value: Bytes) -> NDArray[np.uint16]:
-    """Return the context uint16 of each intensity 0..100 ``(M,)``."""
-    context = np.empty(len(value), np.uint16)
-    walk_intensities(False, starts, tick, level, value, context, _NO_STARTS, _NO_GUIDE, _NO_WORDS)
-    return context
+def contexts(
+    starts: Starts, tick: Ints, level: Ints, step: int, sensor: SensorModel, value: Bytes = _NO_BYTES
+) -> Contexts:
+    """Return the contexts of levels ``(M,)`` and, where they are given, of intensities 0..100 ``(M,)``."""
+    n = len(level)
+    found = Contexts(np.empty(n, np.uint8), np.empty(n, np.int32), np.empty(len(value), np.uint16))
+    levels = Values(level, found.of_levels, found.residual, _NO_SLOTS, _NO_WORDS)
+    values = Values(value, found.of_values, _NO_INTS, _NO_SLOTS, _NO_WORDS)
+    walk(False, starts, tick, step, laser_table(sensor), levels, values, len(value) > 0)
+    return found
 
 
 # Arrays are the callers': counting references to them, a symbol's worth each time, takes longer than the symbol.
@@ -77,48 +81,38 @@ def _encode_values(context: NDArray[np.uint16], value: Bytes, start: NDArray[np.
 
 
 def encode_levels(context: Bytes, residual: Ints, step: int, tables: StaticTables) -> bytes:
-    """Encode what :func:`level_contexts` gave."""
+    """Encode what :func:`contexts` gave."""
     words = np.empty(2 * len(context) + 2, np.uint32)
     at = _encode_residuals(context, residual, tables.level_symbols[table_of(step)].start, words)
     return words[at:].astype("<u4", copy=False).tobytes()
 
 
 def encode_intensities(context: NDArray[np.uint16], value: Bytes, tables: StaticTables) -> bytes:
-    """Encode intensities 0..100 ``(M,)`` in the contexts that :func:`intensity_contexts` gave."""
+    """Encode intensities 0..100 ``(M,)`` in the contexts that :func:`contexts` gave."""
     words = np.empty(len(context) + 2, np.uint32)
     at = _encode_values(context, value, tables.intensity_symbols.start, words)
     return words[at:].astype("<u4", copy=False).tobytes()
 
 
-def _words(data: Bytes) -> Words | None:
-    """The words of a stream, None where it holds no whole number of them."""
-    return data.view("<u4").astype(np.uint32) if len(data) % 4 == 0 else None
-
-
-def decode_levels(
-    starts: Starts, tick: Ints, step: int, sensor: SensorModel, tables: StaticTables, data: Bytes
-) -> tuple[Ints, bool]:
-    """Decode levels int32 ``(M,)``, and whether the data were those of an encoder."""
-    level = np.zeros(len(tick), np.int32)
-    words, symbols = _words(data), tables.level_symbols[table_of(step)]
-    if words is None:
-        return level, False
-    sound = walk_levels(
-        True, starts, tick, level, step, laser_table(sensor), np.empty(0, np.uint8), np.empty(0, np.int32),
-        symbols.start, symbols.guide, words,
-    )  # fmt: skip
-    return level, bool(sound)
-
-
-def decode_intensities(
-    starts: Starts, tick: Ints, level: Ints, tables: StaticTables, data: Bytes
-) -> tuple[Bytes, bool]:
-    """Decode intensities uint8 ``(M,)``, and whether the data were those of an encoder."""
-    value = np.zeros(len(tick), np.uint8)
-    words, symbols = _words(data), tables.intensity_symbols
-    if words is None:
-        return value, False
-    sound = walk_intensities(
-        True, starts, tick, level, value, np.empty(0, np.uint16), symbols.start, symbols.guide, words
-    )
-    return value, bool(sound)
+def decode(
+    starts: Starts,
+    tick: Ints,
+    step: int,
+    sensor: SensorModel,
+    tables: StaticTables,
+    levels: Bytes,
+    intensities: Bytes | None,
+) -> tuple[Ints, Bytes, bool]:
+    """Decode levels int32 ``(M,)``, intensities uint8 ``(M,)`` (none of None), and whether the data were those of an encoder."""
+    n = len(tick)
+    level, value = np.zeros(n, np.int32), np.zeros(0 if intensities is None else n, np.uint8)
+    data = levels, levels[:0] if intensities is None else intensities
+    if any(len(stream) % 4 for stream in data):
+        return level, value, False
+    words = [stream.view("<u4").astype(np.uint32) for stream in data]
+    symbols = tables.level_symbols[table_of(step)], tables.intensity_symbols
+    of_levels = Values(level, _NO_BYTES, _NO_INTS, symbols[0].slots, words[0])
+    of_values = Values(value, _NO_SHORTS, _NO_INTS, symbols[1].slots, words[1])
+    valued = intensities is not None
+    sound = walk(True, starts, tick, step, laser_table(sensor), of_levels, of_values, valued)
+    return level, value, bool(sound and (value < VALUES).all())

@@ -7,11 +7,12 @@ distribution of the 101 values, so that values that a laser never reports cost n
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
+from typing import NamedTuple
 
-from salpcc.stages.entropy.rans import begin, drop, ended, find, refill
-from salpcc.stages.predict.sweep_walk import longest_ring
+import numpy as np
+
+from salpcc.stages.entropy.rans import Slots, Words, pop, refill
+from salpcc.stages.predict.learned.vectors import count, inline, of
 
 VALUES = 101
 ESCAPE = 101  # followed by 7 even bits
@@ -28,7 +29,23 @@ _BOUNDS = np.array([0.75 + 1.5 * k for k in range(8)] + [13.5 + 3.0 * k for k in
 _SIZE = np.searchsorted(_BOUNDS, np.arange(401) / 4.0, side="right").astype(np.int64)
 
 
-@njit(cache=True, inline="always")
+class Around(NamedTuple):
+    """The neighbours of a return, weighed.
+
+    Attributes:
+        w1, w2, w3: weights of the three returns before.  inner: 1 over their sum.
+        sum: of the weighted values of the rings above.  outer: 1 over all weights.
+    """
+
+    w1: float
+    w2: float
+    w3: float
+    inner: float
+    sum: float
+    outer: float
+
+
+@inline
 def _nearness(other: int, level: int, per_near: float) -> float:
     """Weight of a neighbour by its level."""
     gap = (other - level) * per_near
@@ -36,128 +53,101 @@ def _nearness(other: int, level: int, per_near: float) -> float:
     return weight * weight
 
 
-@njit(cache=True, error_model="numpy")
-def _neighbours(first, end, above, above2, tick, level, value, before, others):  # type: ignore[no-untyped-def]
-    """Weigh the neighbours of the returns ``first`` to ``end`` of a ring.
+@inline
+def _before(back, at, i, level, here, per_near):  # type: ignore[no-untyped-def]
+    other = np.int64(level[np.uint64(max(i - back, 0))])
+    return _AHEAD[back - 1] * _nearness(other, here, per_near) if at >= back else 0.0
+
+
+@inline
+def weigh(first, at, j, j2, above, above2, level, value) -> Around:  # type: ignore[no-untyped-def]
+    """Weigh the neighbours of return number ``at`` of a ring.
 
     Args:
-        above, above2: first return of the ring above (it ends at ``first``) and of that above it.
-        before: receives the weights of the three returns before, and 1 over their sum, ``(4, n)``.
-        others: receives the weighted sum of the values of the rings above, and 1 over all weights, ``(2, n)``.
+        first, above, above2: first return of the ring, of the ring above (which ends there), of that above it.
+        j, j2: last returns of the rings above that are not after it.
     """
-    j = above - 1
-    j2 = above2 - 1
-    for i in range(first, end):
-        at = i - first
-        here = np.int64(level[i])
-        t = tick[i]
-        per_near = _NEAR / max(here + 0.0, 1.0)
-        while j + 1 < first and tick[j + 1] <= t:
-            j += 1
-        while j2 + 1 < above and tick[j2 + 1] <= t:
-            j2 += 1
-        total = _LEAST
-        for back in range(3):
-            weight = _AHEAD[back] * _nearness(level[i - 1 - back], here, per_near) if at > back else 0.0
-            before[back, at] = weight
+    i = first + at
+    here = np.int64(level[np.uint64(i)])
+    per_near = _NEAR / max(here + 0.0, 1.0)
+    w1 = _before(1, at, i, level, here, per_near)
+    w2 = _before(2, at, i, level, here, per_near)
+    w3 = _before(3, at, i, level, here, per_near)
+    total = _LEAST + w1 + w2 + w3
+    inner = 1.0 / total
+    mean = 0.0
+    for k in range(4):
+        u = j - 1 + k
+        if u >= above and u < first:
+            weight = _ABOVE[k] * _nearness(np.int64(level[np.uint64(u)]), here, per_near)
             total += weight
-        before[3, at] = 1.0 / total
-        mean = 0.0
-        for u in range(max(j - 1, above), min(j + 3, first)):
-            weight = _ABOVE[u - j + 1] * _nearness(level[u], here, per_near)
+            mean += weight * value[np.uint64(u)]
+    for u in range(j2, j2 + 2):
+        if u >= above2 and u < above:
+            weight = _ABOVE2 * _nearness(np.int64(level[np.uint64(u)]), here, per_near)
             total += weight
-            mean += weight * value[u]
-        for u in range(max(j2, above2), min(j2 + 2, above)):
-            weight = _ABOVE2 * _nearness(level[u], here, per_near)
-            total += weight
-            mean += weight * value[u]
-        others[0, at] = mean
-        others[1, at] = 1.0 / total
+            mean += weight * value[np.uint64(u)]
+    return Around(w1, w2, w3, inner, mean, 1.0 / total)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def walk_intensities(  # type: ignore[no-untyped-def]
-    decoding, starts, tick, level, value, context, start, guide, words
-):
-    """Find the contexts of the intensities of a sweep, and decode them on the way if asked to.
+@inline
+def follow(j, end, tick, t):  # type: ignore[no-untyped-def]
+    """Move from return ``j`` of a ring that ends before ``end`` to its last one not after tick ``t``."""
+    while j + 1 < end and tick[np.uint64(j + 1)] <= t:
+        j += 1
+    return j
 
-    Args:
-        starts: first return of each ring, ``(L + 1,)``.  tick, level: ``(M,)``.
-        value: uint8 ``(M,)`` of 0..100, read, or filled when decoding.
-        context: uint16 ``(M,)``, filled unless decoding.
-        start, guide, words: tables and words to decode from.
 
-    Returns:
-        whether the words were those of an encoder.
-    """
-    size = longest_ring(starts)
-    before = np.zeros((4, size))
-    others = np.zeros((2, size))
-    x = 0
-    position = 0
-    if decoding:
-        x, position = begin(words)
-        if x == 0:
-            return False
-    above = 0
-    above2 = 0
-    for k in range(len(starts) - 1):
-        first = starts[k]
-        end = starts[k + 1]
-        if end == first:
-            continue
-        _neighbours(first, end, above, above2, tick, level, value, before, others)
-        activity = 4.0
-        bias = 0.0
-        v1 = 25.0
-        v2 = 0.0
-        v3 = 0.0
-        for i in range(first, end):
-            at = i - first
-            # Written so that what the value before decides comes last: a decoder waits for it.
-            further = before[1, at] * v2 + before[2, at] * v3
-            weight = before[0, at] + _LEAST
-            ahead = weight * before[3, at] * v1 + further * before[3, at]
-            mean = weight * others[1, at] * v1 + (further + others[0, at]) * others[1, at]
-            if i == first:
-                v1 = ahead = mean
-            expected = (0.57 * mean + 0.87 * ahead) + ((0.06 * bias + 0.46) - 0.46 * v1)
-            expected = min(max(expected, 0.0), 100.0)
-            aside = v1 - expected
-            side = (
-                np.int64(aside >= -9.0)
-                + np.int64(aside >= -4.0)
-                + np.int64(aside >= -1.2)
-                + np.int64(aside >= 1.2)
-                + np.int64(aside >= 4.0)
-                + np.int64(aside >= 9.0)
-            )
-            rough = (
-                np.int64(activity >= 0.8)
-                + np.int64(activity >= 1.8)
-                + np.int64(activity >= 3.2)
-                + np.int64(activity >= 6.0)
-            )
-            c = (_SIZE[np.int64(expected * 4.0)] * 5 + rough) * 7 + side
-            if decoding:
-                found = find(x, c, start, guide)
-                x = drop(x, np.int64(start[c, found]), np.int64(start[c, found + 1]))
-                if found == ESCAPE:
-                    found = x & 127
-                    x >>= 7
-                    if found >= VALUES:
-                        return False
-                x, position = refill(x, position, words)
-                value[i] = found
-            else:
-                found = np.int64(value[i])
-                context[i] = c
-            v3 = v2
-            v2 = v1
-            v1 = np.float64(found)
-            off = v1 - mean
-            activity += _RATE * (abs(off) - activity)
-            bias += _RATE * (off - bias)
-        above2 = above
-        above = first
-    return (not decoding) or ended(x, position, words)
+class Running(NamedTuple):
+    """What has been learned along a ring: how well the mean did, and the three values before."""
+
+    activity: float
+    bias: float
+    v1: float
+    v2: float
+    v3: float
+
+
+@inline
+def begin_ring() -> Running:
+    """Return what is known before the first return of a ring."""
+    return Running(4.0, 0.0, 25.0, 0.0, 0.0)
+
+
+@inline
+def guess(known: Running, around: Around, at: int) -> tuple[int, float]:
+    """Return the context of return ``at`` of a ring, and the mean of its neighbours."""
+    # Written so that what the value before decides comes last: a decoder waits for it.
+    further = around.w2 * known.v2 + around.w3 * known.v3
+    weight = around.w1 + _LEAST
+    ahead = weight * around.inner * known.v1 + further * around.inner
+    mean = weight * around.outer * known.v1 + (further + around.sum) * around.outer
+    v1 = known.v1
+    if at == 0:
+        v1 = ahead = mean
+    expected = (0.57 * mean + 0.87 * ahead) + ((0.06 * known.bias + 0.46) - 0.46 * v1)
+    expected = min(max(expected, 0.0), 100.0)
+    aside = v1 - expected
+    side = count(aside >= of(-9.0, -4.0, -1.2, 1.2, 4.0, 9.0, np.inf, np.inf))
+    rough = count(known.activity >= of(0.8, 1.8, 3.2, 6.0))
+    return (_SIZE[np.uint64(expected * 4.0)] * 5 + rough) * 7 + side, mean
+
+
+@inline
+def learn(known: Running, mean: float, found: int) -> Running:
+    """Return what is known after a value."""
+    value = np.float64(found)
+    off = value - mean
+    activity = known.activity + _RATE * (abs(off) - known.activity)
+    return Running(activity, known.bias + _RATE * (off - known.bias), value, known.v1, known.v2)
+
+
+@inline
+def get(x: int, position: int, words: Words, context: int, slots: Slots) -> tuple[int, int, int]:
+    """Decode a value; returns it (from VALUES on: none), state and position."""
+    found, x = pop(x, context, slots)
+    if found == ESCAPE:
+        found = x & 127
+        x >>= 7
+    x, position = refill(x, position, words)
+    return found, x, position

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.rans import BITS, drop, find, push, refill
+from salpcc.stages.entropy.rans import BITS, Slots, pop, push, refill
 
 ESCAPE = 64
 TOKENS = 65
@@ -62,18 +62,9 @@ def put(
 
 
 @njit(cache=True, inline="always")
-def get(
-    x: int,
-    position: int,
-    words: NDArray[np.uint32],
-    context: int,
-    start: NDArray[np.uint16],
-    guide: NDArray[np.uint8],
-) -> tuple[int, int, int]:
+def get(x: int, position: int, words: NDArray[np.uint32], context: int, slots: Slots) -> tuple[int, int, int]:
     """Decode a residual; returns it, state and position. Inverse of :func:`put`."""
-    row = np.uint64(context)
-    token = find(x, context, start, guide)
-    x = drop(x, np.int64(start[row, np.uint64(token)]), np.int64(start[row, np.uint64(token + 1)]))
+    token, x = pop(x, context, slots)
     if token == ESCAPE:
         z = x & ((1 << _HIGH) - 1)
         x, position = refill(x >> _HIGH, position, words)

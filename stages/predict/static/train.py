@@ -15,7 +15,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import intensity_levels
 from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.predict.static import intensities, levels
-from salpcc.stages.predict.static.coder import intensity_contexts, level_contexts
+from salpcc.stages.predict.static.coder import contexts
 from salpcc.stages.predict.static.count_tables import STEPS, StaticTables, check, save_tables, table_of
 from salpcc.stages.predict.static.tokens import TOKENS, count_tokens
 
@@ -50,12 +50,12 @@ def count_tables(sweeps: Iterable[Sweep], sensor: SensorModel) -> tuple[Counts, 
         starts = ring_starts(sweep.laser, sensor.n_lasers)
         for step in TRAINED_STEPS:
             level = (sweep.count // step).astype(np.int32)
-            found = level_contexts(starts, sweep.tick, level, step, sensor)
-            count_tokens(*found, tokens[table_of(step)])
+            found = contexts(starts, sweep.tick, level, step, sensor)
+            count_tokens(found.of_levels, found.residual, tokens[table_of(step)])
         known = intensity_levels(sweep.intensity)
         if known is not None:
-            context = intensity_contexts(starts, sweep.tick, sweep.count, known)
-            np.add.at(values, (context, known), 1)
+            found = contexts(starts, sweep.tick, sweep.count, 1, sensor, known)
+            np.add.at(values, (found.of_values, known), 1)
     if not tokens.any():
         raise UsageError("no sweeps to train on")
     return tokens, values

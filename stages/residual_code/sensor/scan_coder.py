@@ -71,7 +71,7 @@ def decode_scan(data: bytes, sensor: SensorModel, state: GopState, static: Sweep
     if header.effort != "fast" and not supports(sensor):
         raise ArchiveError(f"payload of effort {header.effort} is of a sensor that the networks do not know")
     motion = header.motion if static is None else static.motion
-    scan = Decoding(header, sensor, state, static, _nothing_yet(header, motion))
+    scan = Decoding(header, sensor, state, static, _nothing_yet(header, motion), streams)
     for stream in STREAMS:
         stream.decode(scan, streams[stream.name])
     if content_crc(scan.sweep) != header.content_crc:

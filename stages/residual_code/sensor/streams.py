@@ -133,7 +133,9 @@ class Decoding:
     state: GopState
     static: Sweep | None
     sweep: Sweep
+    streams: dict[str, bytes]
     starts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64))
+    hundredths: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))  # intensities
     told: Timeline | None = None  # lasers and times of the points as their own stream tells them
     field_of_intensity: bytes = b""  # the stream of intensities where the cloud tells how to read it
 
@@ -201,8 +203,11 @@ def _encode_levels(scan: Encoding) -> bytes:
 
 
 def _decode_levels(scan: Decoding, stream: bytes) -> None:
-    count, sound = scan.values.decode_levels(
-        scan.starts, scan.sweep.tick, scan.header.step, scan.before, as_array(stream)
+    """Decode the levels, and with them the intensities that are hundredths."""
+    floats = scan.header.flags & FLOAT_INTENSITY
+    intensities = None if floats else as_array(scan.streams["intensity"])
+    count, scan.hundredths, sound = scan.values.decode(
+        scan.starts, scan.sweep.tick, scan.header.step, scan.before, as_array(stream), intensities
     )
     require_sound(sound)
     scan.sweep = replace(scan.sweep, count=count)
@@ -322,11 +327,7 @@ def _decode_intensity(scan: Decoding, stream: bytes) -> None:
         floats, sound = decode_values(n, as_array(stream))
         require_sound(sound)
     else:
-        levels, sound = scan.values.decode_intensity(
-            scan.starts, sweep.tick, sweep.count, scan.header.step, scan.before, as_array(stream)
-        )
-        require_sound(sound)
-        floats = INTENSITY_OF_LEVEL[levels]
+        floats = INTENSITY_OF_LEVEL[scan.hundredths]
     scan.sweep = replace(sweep, intensity=floats)
 
 

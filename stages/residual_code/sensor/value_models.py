@@ -1,6 +1,7 @@
 """What codes the levels and intensities of a scan: tables (``fast``) or the learned networks.
 
-Both have the same four methods, so a stream does not care which it was given.
+Both have the same methods, so a stream does not care which it was given. Decoders take both streams at once: tables decode one
+while they wait for the other.
 """
 
 from __future__ import annotations
@@ -19,12 +20,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.learned.shipped import LearnedModels, load_models
-from salpcc.stages.predict.static.coder import (
-    decode_intensities,
-    decode_levels,
-    encode_intensities,
-    encode_levels,
-)
+from salpcc.stages.predict.static.coder import decode, encode_intensities, encode_levels
 from salpcc.stages.predict.static.count_tables import StaticTables, shipped
 
 Bytes = NDArray[np.uint8]
@@ -34,19 +30,16 @@ Before = WarpedSweep | None
 
 
 class ValueModels(Protocol):
-    """Codes range levels and intensities; decoders tell whether the data made sense."""
+    """Codes range levels and intensities in hundredths; ``decode`` returns both (no intensities of None), and whether the data made sense."""
 
     @property
     def weights(self) -> bytes: ...
 
     def encode_levels(self, sweep: Sweep, predicted: Prediction) -> bytes: ...
-    def decode_levels(
-        self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
-    ) -> tuple[Ticks, bool]: ...
     def encode_intensity(self, values: Bytes, predicted: Prediction) -> bytes: ...
-    def decode_intensity(
-        self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
-    ) -> tuple[Bytes, bool]: ...
+    def decode(
+        self, starts: Starts, tick: Ticks, step: int, before: Before, levels: Bytes, intensities: Bytes | None
+    ) -> tuple[Ticks, Bytes, bool]: ...
 
 
 @dataclass(frozen=True)
@@ -64,19 +57,14 @@ class StaticModels:
         assert predicted.residual is not None and predicted.level_context is not None
         return encode_levels(predicted.level_context, predicted.residual, sweep.step, self.tables)
 
-    def decode_levels(
-        self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
-    ) -> tuple[Ticks, bool]:
-        return decode_levels(starts, tick, step, self.sensor, self.tables, data)
-
     def encode_intensity(self, values: Bytes, predicted: Prediction) -> bytes:
         assert predicted.intensity_context is not None
         return encode_intensities(predicted.intensity_context, values, self.tables)
 
-    def decode_intensity(
-        self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
-    ) -> tuple[Bytes, bool]:
-        return decode_intensities(starts, tick, level, self.tables, data)
+    def decode(
+        self, starts: Starts, tick: Ticks, step: int, before: Before, levels: Bytes, intensities: Bytes | None
+    ) -> tuple[Ticks, Bytes, bool]:
+        return decode(starts, tick, step, self.sensor, self.tables, levels, intensities)
 
 
 @dataclass(frozen=True)
@@ -96,22 +84,23 @@ class NetworkModels:
         levels = range_model.count_levels(sweep.count).to_bytes(range_model.HEADER, "little")
         return levels + run_encoder(lambda out: encode_intervals(intervals, out), len(intervals))
 
-    def decode_levels(
-        self, starts: Starts, tick: Ticks, step: int, before: Before, data: Bytes
-    ) -> tuple[Ticks, bool]:
-        return range_model.decode_ranges(starts, tick, step, self.sensor, self.learned.ranges, data, before)
-
     def encode_intensity(self, values: Bytes, predicted: Prediction) -> bytes:
         intervals = predicted.intensity_interval
         assert intervals is not None
         return run_encoder(lambda out: encode_intervals(intervals, out), len(intervals))
 
-    def decode_intensity(
-        self, starts: Starts, tick: Ticks, level: Ticks, step: int, before: Before, data: Bytes
-    ) -> tuple[Bytes, bool]:
-        return intensity_model.decode_intensity(
-            starts, tick, level, step, self.sensor, self.learned.intensity, data, before
+    def decode(
+        self, starts: Starts, tick: Ticks, step: int, before: Before, levels: Bytes, intensities: Bytes | None
+    ) -> tuple[Ticks, Bytes, bool]:
+        level, sound = range_model.decode_ranges(
+            starts, tick, step, self.sensor, self.learned.ranges, levels, before
         )
+        if intensities is None or not sound:
+            return level, np.zeros(0, np.uint8), sound
+        values, sound = intensity_model.decode_intensity(
+            starts, tick, level, step, self.sensor, self.learned.intensity, intensities, before
+        )
+        return level, values, sound
 
 
 def value_models(effort: str, sensor: SensorModel) -> ValueModels:

@@ -25,16 +25,13 @@ def _encode(contexts, symbols, bits, raw, start, words):
 
 
 @njit
-def _decode(contexts, bits, start, guide, words):
+def _decode(contexts, bits, slots, words):
     symbols, raw = np.zeros_like(contexts), np.zeros_like(contexts)
     x, at = rans.begin(words)
     if x == 0:
         return symbols, raw, False
     for i in range(len(contexts)):
-        symbols[i] = rans.find(x, contexts[i], start, guide)
-        x = rans.drop(
-            x, np.int64(start[contexts[i], symbols[i]]), np.int64(start[contexts[i], symbols[i] + 1])
-        )
+        symbols[i], x = rans.pop(x, contexts[i], slots)
         raw[i] = x & ((1 << bits[i]) - 1)
         x, at = rans.refill(x >> bits[i], at, words)
     return symbols, raw, rans.ended(x, at, words)
@@ -65,7 +62,7 @@ def written(contexts, symbols, bits, raw) -> np.ndarray:
 def test_round_trip(n: int, seed: int) -> None:
     contexts, symbols, bits, raw = drawn(n, seed)
     words = written(contexts, symbols, bits, raw)
-    got, even, sound = _decode(contexts, bits, _SYMBOLS.start, _SYMBOLS.guide, words)
+    got, even, sound = _decode(contexts, bits, _SYMBOLS.slots, words)
     assert sound
     np.testing.assert_array_equal(got, symbols)
     np.testing.assert_array_equal(even, raw)
@@ -85,7 +82,7 @@ def test_damage_stays_inside_and_a_cut_is_known() -> None:
         bad = good.copy()
         bad[rng.integers(0, len(bad))] ^= np.uint32(1 << int(rng.integers(0, 32)))
         bad = bad if trial % 2 else bad[: rng.integers(0, len(bad) - 1)]
-        got, _, sound = _decode(contexts, bits, _SYMBOLS.start, _SYMBOLS.guide, bad)
+        got, _, sound = _decode(contexts, bits, _SYMBOLS.slots, bad)
         assert got.max() <= 3
         assert len(bad) == len(good) or not sound  # flipped even bits are for checksums
 

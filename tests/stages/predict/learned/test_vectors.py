@@ -65,6 +65,7 @@ def order(a: Any, b: Any, out: Any) -> None:
     out[40] = summed(HALF, x, 2, 7)
     out[41] = count(x < y)
     out[42] = count(x > y)
+    out[43] = count(x >= splice(x, y, 3))
 
 
 def integers(a: Any, b: Any, out: Any) -> None:
@@ -112,7 +113,7 @@ def small(rng: np.random.Generator) -> Any:
     ("kernel", "values", "out"),
     [
         (plain, reals, np.zeros(208, np.float32)),
-        (order, reals, np.zeros(43, np.float32)),
+        (order, reals, np.zeros(44, np.float32)),
         (integers, wide, np.zeros(98, np.int32)),
         (products, small, np.zeros(32, np.int32)),
         (numbers, reals, np.zeros(64, np.int32)),

@@ -28,92 +28,109 @@ def bytes_of(data: bytes) -> np.ndarray:
     return np.frombuffer(bytearray(data), np.uint8)
 
 
-def levels(sweep: Sweep, step: int, sensor: SensorModel) -> bytes:
+def written(sweep: Sweep, step: int, sensor: SensorModel, value: np.ndarray) -> tuple[bytes, bytes]:
+    """The streams of levels and of intensities ``value``."""
     starts = ring_starts(sweep.laser, sensor.n_lasers)
-    found = coder.level_contexts(starts, sweep.tick, sweep.count // step, step, sensor)
-    return coder.encode_levels(*found, step, shipped())
+    found = coder.contexts(starts, sweep.tick, sweep.count // step, step, sensor, value)
+    return (
+        coder.encode_levels(found.of_levels, found.residual, step, shipped()),
+        coder.encode_intensities(found.of_values, value, shipped()),
+    )
 
 
-def read_levels(sweep: Sweep, step: int, sensor: SensorModel, data: bytes) -> tuple[np.ndarray, bool]:
+def read(
+    sweep: Sweep, step: int, sensor: SensorModel, levels: bytes, intensities: bytes | None
+) -> tuple[np.ndarray, np.ndarray, bool]:
     starts = ring_starts(sweep.laser, sensor.n_lasers)
-    return coder.decode_levels(starts, sweep.tick, step, sensor, shipped(), bytes_of(data))
+    of_values = None if intensities is None else bytes_of(intensities)
+    return coder.decode(starts, sweep.tick, step, sensor, shipped(), bytes_of(levels), of_values)
 
 
-def values(sweep: Sweep, sensor: SensorModel, value: np.ndarray) -> bytes:
-    starts = ring_starts(sweep.laser, sensor.n_lasers)
-    context = coder.intensity_contexts(starts, sweep.tick, sweep.count, value)
-    return coder.encode_intensities(context, value, shipped())
-
-
-def read_values(sweep: Sweep, sensor: SensorModel, data: bytes) -> tuple[np.ndarray, bool]:
-    starts = ring_starts(sweep.laser, sensor.n_lasers)
-    return coder.decode_intensities(starts, sweep.tick, sweep.count, shipped(), bytes_of(data))
+def hundredths(sweep: Sweep) -> np.ndarray:
+    return np.rint(sweep.intensity * 100).astype(np.uint8)
 
 
 @pytest.mark.parametrize("step", [1, 2, 5, 10, 20, 333, 65535])
-def test_levels_come_back(sweep: Sweep, sensor: SensorModel, step: int) -> None:
-    level, sound = read_levels(sweep, step, sensor, levels(sweep, step, sensor))
+def test_levels_and_intensities_come_back(sweep: Sweep, sensor: SensorModel, step: int) -> None:
+    level, value, sound = read(sweep, step, sensor, *written(sweep, step, sensor, hundredths(sweep)))
     assert sound
     np.testing.assert_array_equal(level, sweep.count // step)
+    np.testing.assert_array_equal(value, hundredths(sweep))
+
+
+def test_levels_come_back_alone(sweep: Sweep, sensor: SensorModel) -> None:
+    """Where intensities are no hundredths; what their contexts are changes nothing of the levels' stream."""
+    starts = ring_starts(sweep.laser, sensor.n_lasers)
+    found = coder.contexts(starts, sweep.tick, sweep.count, 1, sensor)
+    alone = coder.encode_levels(found.of_levels, found.residual, 1, shipped())
+    assert alone == written(sweep, 1, sensor, hundredths(sweep))[0]
+    level, value, sound = read(sweep, 1, sensor, alone, None)
+    assert sound
+    assert len(value) == 0
+    np.testing.assert_array_equal(level, sweep.count)
 
 
 @pytest.mark.parametrize("largest", [1, 1 << 20])
-def test_any_levels_come_back(sweep: Sweep, sensor: SensorModel, largest: int) -> None:
+def test_any_values_come_back(sweep: Sweep, sensor: SensorModel, largest: int) -> None:
     rng = np.random.default_rng(1)
     wild = replace(sweep, count=rng.integers(0, largest, len(sweep.tick)).astype(np.int32))
-    level, sound = read_levels(wild, 1, sensor, levels(wild, 1, sensor))
+    some = rng.integers(0, 101, len(sweep.tick)).astype(np.uint8)
+    level, value, sound = read(wild, 1, sensor, *written(wild, 1, sensor, some))
     assert sound
     np.testing.assert_array_equal(level, wild.count)
+    np.testing.assert_array_equal(value, some)
+
+
+def test_rings_that_saw_little_come_back(sweep: Sweep, sensor: SensorModel) -> None:
+    """Levels of one ring and intensities of the one before are walked together: rings of any size, and none at all."""
+    rng = np.random.default_rng(2)
+    kept = (
+        rng.random(len(sweep.tick)) < np.array([0.0, 1.0, 0.01, 0.0, 0.0, 0.5, 1.0, 0.002])[sweep.laser % 8]
+    )
+    few = replace(sweep, laser=sweep.laser[kept], tick=sweep.tick[kept], count=sweep.count[kept])
+    some = hundredths(sweep)[kept]
+    level, value, sound = read(few, 1, sensor, *written(few, 1, sensor, some))
+    assert sound
+    np.testing.assert_array_equal(level, few.count)
+    np.testing.assert_array_equal(value, some)
 
 
 def test_surfaces_cost_little(sweep: Sweep, sensor: SensorModel) -> None:
     """1 cm of noise costs 4.4 bits at 2 mm; every eighth firing of a wavy wall may add some, not eleven."""
-    assert 8 * len(levels(sweep, 1, sensor)) / len(sweep.tick) < 9.0
-
-
-@pytest.mark.parametrize("wild", [False, True])
-def test_intensities_come_back(sweep: Sweep, sensor: SensorModel, wild: bool) -> None:
-    value = np.rint(sweep.intensity * 100).astype(np.uint8)
-    if wild:
-        value = np.random.default_rng(1).integers(0, 101, len(value)).astype(np.uint8)
-    data = values(sweep, sensor, value)
-    back, sound = read_values(sweep, sensor, data)
-    assert sound
-    np.testing.assert_array_equal(back, value)
+    levels, _ = written(sweep, 1, sensor, hundredths(sweep))
+    assert 8 * len(levels) / len(sweep.tick) < 9.0
 
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_hardly_any_returns(sensor: SensorModel, sweep: Sweep, n: int) -> None:
     few = replace(sweep, laser=np.full(n, 40, np.uint8), tick=sweep.tick[:n], count=sweep.count[:n])
-    level, sound = read_levels(few, 1, sensor, levels(few, 1, sensor))
+    data = written(few, 1, sensor, np.full(n, 100, np.uint8))
+    level, value, sound = read(few, 1, sensor, *data)
     assert sound
     np.testing.assert_array_equal(level, few.count)
-    back, sound = read_values(few, sensor, values(few, sensor, np.full(n, 100, np.uint8)))
-    assert sound
-    assert (back == 100).all()
+    np.testing.assert_array_equal(value, np.full(n, 100))
+    assert not read(few, 1, sensor, data[0], b"")[2]
 
 
 def test_damage_never_leaves_the_bounds(sweep: Sweep, sensor: SensorModel) -> None:
-    value = np.rint(sweep.intensity * 100).astype(np.uint8)
+    good = written(sweep, 5, sensor, hundredths(sweep))
     rng = np.random.default_rng(7)
-    for good, read in (
-        (levels(sweep, 5, sensor), lambda data: read_levels(sweep, 5, sensor, data)),
-        (values(sweep, sensor, value), lambda data: read_values(sweep, sensor, data)),
-    ):
-        for trial in range(12):
-            bad = bytearray(good)
-            bad[rng.integers(0, len(bad))] ^= int(rng.integers(1, 256))
-            if trial % 3 == 0:
-                bad = bad[: rng.integers(0, len(bad))]
-            found, sound = read(bytes(bad))
-            assert not sound or len(bad) == len(good)  # flipped even bits are for checksums
-            assert found.min() >= 0
-            assert found.max() < 1 << 20
+    for trial in range(24):
+        bad = [bytearray(stream) for stream in good]
+        which = bad[trial % 2]
+        which[rng.integers(0, len(which))] ^= int(rng.integers(1, 256))
+        if trial % 3 == 0:
+            del which[rng.integers(0, len(which)) :]
+        level, value, sound = read(sweep, 5, sensor, *map(bytes, bad))
+        assert not sound or len(which) == len(good[trial % 2])  # flipped even bits are for checksums
+        assert level.min() >= 0
+        assert level.max() < 1 << 20
+        assert not sound or value.max() <= 100
 
 
 def test_a_sensor_of_odd_numbers_is_coded_all_the_same(sweep: Sweep, sensor: SensorModel) -> None:
     odd = replace(sensor, theta=sensor.theta + 1.5, d0=sensor.d0 - 9.0, h=sensor.h + 5.0, count=1e-9)
-    level, sound = read_levels(sweep, 1, odd, levels(sweep, 1, odd))
+    level, _, sound = read(sweep, 1, odd, *written(sweep, 1, odd, hundredths(sweep)))
     assert sound
     np.testing.assert_array_equal(level, sweep.count)
 
@@ -126,8 +143,9 @@ def test_tables_follow_the_sweeps_they_are_counted_from(
     own = load_tables(path)
     assert own.digest == load_tables(again).digest != shipped().digest
     starts = ring_starts(sweep.laser, sensor.n_lasers)
-    found = coder.level_contexts(starts, sweep.tick, sweep.count, 1, sensor)
-    assert len(coder.encode_levels(*found, 1, own)) < len(coder.encode_levels(*found, 1, shipped()))
+    found = coder.contexts(starts, sweep.tick, sweep.count, 1, sensor)
+    sizes = [len(coder.encode_levels(found.of_levels, found.residual, 1, t)) for t in (own, shipped())]
+    assert sizes[0] < sizes[1]
     with pytest.raises(UsageError, match="no sweeps"):
         train_tables([], sensor, tmp_path, lambda _: None)
 
