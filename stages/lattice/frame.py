@@ -21,7 +21,7 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.lattice import unproject
-from salpcc.stages.lattice.publish import compensated_points
+from salpcc.stages.lattice.publish import published_points, rounded
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import middle_counts, source_places, sweep_to_scan
 from salpcc.stages.lattice.trig import TWO_PI, arctan2
@@ -73,7 +73,7 @@ def _measured(sweep: Sweep, sensor: SensorModel) -> F32:
     model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
     if sweep.max_error > 0:
         return model.astype(np.float32)
-    points = compensated_points(model, sweep.millimetre, None).astype(np.float32)
+    points = published_points(rounded(model, sweep.millimetre, None))
     return np.where(points == 0, np.copysign(np.float32(0), model).astype(np.float32), points)
 
 

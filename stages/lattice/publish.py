@@ -9,12 +9,16 @@ both roundings come with their distance to the boundary.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.lattice import NO_CORRECTION, corrections
 from salpcc.stages.lattice.untwist import BLOCK, forward, on_lattice
+
+Column = NDArray[np.float64]
 
 
 def ordered_bits(values: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -28,62 +32,83 @@ def from_ordered_bits(bits: NDArray[np.int64]) -> NDArray[np.float32]:
     return np.where(bits < 0, bits ^ 0x7FFFFFFF, bits).astype(np.int32).view(np.float32)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _compensate(
-    model: NDArray[np.float64], millimetre: NDArray[np.uint8], motion: NDArray[np.float64], moving: bool
-) -> NDArray[np.float64]:
-    n = len(model)
-    points = np.empty((n, 3))
+class Rounded(NamedTuple):
+    """Points ``(M, 3)`` on their way from the model to the file.
+
+    Attributes:
+        model: float64, metres.
+        millimetre: corrections of their rounding to 1 mm, uint8 ``(M,)``.
+        motion: ``(6,)``, zeros without one.  moving: whether there is one.
+    """
+
+    model: NDArray[np.float64]
+    millimetre: NDArray[np.uint8]
+    motion: NDArray[np.float64]
+    moving: bool
+
+
+def rounded(
+    model: NDArray[np.float64], millimetre: NDArray[np.uint8], motion: NDArray[np.float64] | None
+) -> Rounded:
+    """Put together what :func:`compensate` takes."""
+    return Rounded(model, millimetre, np.zeros(6) if motion is None else motion, motion is not None)
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
+def compensate(given: Rounded, start: int, size: int, x: Column, y: Column, z: Column) -> None:
+    """Round ``size`` points from ``start`` on to 1 mm, correct them, move them; coordinates go to short columns.
+
+    KITTI stored raw points as float32 before it moved them, so does this.
+    """
+    model, motion = given.model, given.motion
     m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
+    for i in range(size):
+        code = np.int64(given.millimetre[start + i])
+        x[i] = on_lattice(model[start + i, 0], code // 9 - 1)
+        y[i] = on_lattice(model[start + i, 1], code // 3 % 3 - 1)
+        z[i] = on_lattice(model[start + i, 2], code % 3 - 1)
+    if given.moving:
+        for i in range(size):
+            x[i], y[i], z[i] = forward(x[i], y[i], z[i], m)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _published(given: Rounded) -> NDArray[np.float32]:
+    n = len(given.model)
+    points = np.empty((n, 3), np.float32)
     block = np.empty((3, BLOCK))
     x, y, z = block[0], block[1], block[2]
     for start in range(0, n, BLOCK):
         size = min(BLOCK, n - start)
-        for i in range(size):
-            code = np.int64(millimetre[start + i])
-            x[i] = on_lattice(model[start + i, 0], code // 9 - 1)
-            y[i] = on_lattice(model[start + i, 1], code // 3 % 3 - 1)
-            z[i] = on_lattice(model[start + i, 2], code % 3 - 1)
-        if moving:
-            for i in range(size):
-                x[i], y[i], z[i] = forward(x[i], y[i], z[i], m)
+        compensate(given, start, size, x, y, z)
         for i in range(size):
             points[start + i, 0], points[start + i, 1], points[start + i, 2] = x[i], y[i], z[i]
     return points
 
 
-def compensated_points(
-    model: NDArray[np.float64], millimetre: NDArray[np.uint8], motion: NDArray[np.float64] | None
-) -> NDArray[np.float64]:
-    """Round model points ``(M, 3)`` in metres to 1 mm, correct them, and move them by the motion.
-
-    KITTI stored raw points as float32 before it moved them, so does this. Returns float64 ``(M, 3)``.
-    """
-    return _compensate(model, millimetre, np.zeros(6) if motion is None else motion, motion is not None)
-
-
-def published_points(compensated: NDArray[np.float64], ulp: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Round compensated points ``(M, 3)`` to float32 and correct their last bits."""
-    points = compensated.astype(np.float32)
-    patched = np.flatnonzero(ulp != NO_CORRECTION)
-    points[patched] = from_ordered_bits(ordered_bits(points[patched]) + corrections(ulp[patched]))
+def published_points(given: Rounded, ulp: NDArray[np.uint8] | None = None) -> NDArray[np.float32]:
+    """Return the points ``(M, 3)`` as published: compensated, rounded to float32, their last bits corrected."""
+    points: NDArray[np.float32] = _published(given)
+    if ulp is not None:
+        patched = np.flatnonzero(ulp != NO_CORRECTION)
+        points[patched] = from_ordered_bits(ordered_bits(points[patched]) + corrections(ulp[patched]))
     return points
 
 
 @njit(cache=True, error_model="numpy", _nrt=False, inline="always")
-def millimetre_boundary(value: np.float64) -> tuple[np.float64, np.int8]:
+def millimetre_boundary(value: float) -> tuple[float, float]:
     """Distance in mm of a coordinate in metres to the nearest rounding boundary, and the step across it, +1 or -1."""
     v = value * 1000.0
     off = v - np.rint(v)
-    return 0.5 - abs(off), np.int8(1) if off > 0.0 else np.int8(-1)
+    return 0.5 - abs(off), 1.0 if off > 0.0 else -1.0
 
 
 @njit(cache=True, error_model="numpy", _nrt=False, inline="always")
-def float32_boundary(value: np.float64) -> tuple[np.float64, np.int8]:
+def float32_boundary(value: float) -> tuple[float, float]:
     """Distance in nanometres of a coordinate in metres to the nearest float32 rounding boundary, and the step across it."""
     nearest = np.float32(value)
     size = np.int32(nearest.view(np.int32) & np.int32(0x7FFFFFFF))
     after = np.int32(size + np.int32(1)).view(np.float32)
     off = value - np.float64(nearest)
     half = np.float64(after - size.view(np.float32)) * 0.5
-    return (half - abs(off)) * 1e9, np.int8(1) if off > 0.0 else np.int8(-1)
+    return (half - abs(off)) * 1e9, 1.0 if off > 0.0 else -1.0

@@ -23,7 +23,7 @@ from salpcc.stages.lattice.list_motion import find_motion
 from salpcc.stages.lattice.measure import measure
 from salpcc.stages.lattice.motion_search import is_raw, solve_motion
 from salpcc.stages.lattice.order import azimuth_keys, file_order, in_order
-from salpcc.stages.lattice.publish import compensated_points, published_points
+from salpcc.stages.lattice.publish import published_points, rounded
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.untwist import twist, untwist, within_reach
 
@@ -151,8 +151,7 @@ def return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32
     if sweep.max_error > 0:
         points = model if sweep.motion is None else twist(model, sweep.motion)
         return points.astype(np.float32), order
-    compensated = compensated_points(model, sweep.millimetre, sweep.motion)
-    return published_points(compensated, sweep.ulp), order
+    return published_points(rounded(model, sweep.millimetre, sweep.motion), sweep.ulp), order
 
 
 def middle_counts(sweep: Sweep) -> NDArray[np.float64]:

@@ -24,6 +24,7 @@ from salpcc.schemas.shards import (
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.predict.laser_bits import laser_bits
+from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.residual_code.label_coder import encode_labels
 from salpcc.stages.residual_code.paper.grid_coder import encode_grid
 from salpcc.stages.residual_code.paper.grid_streams import GridState
@@ -111,7 +112,7 @@ def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator
 
 
 def _of_lasers(sensor: SensorModel, *layers: tuple[Sweep, Prediction]) -> dict[str, Any]:
-    returns = sum(np.bincount(sweep.laser, minlength=sensor.n_lasers) for sweep, _ in layers)
+    returns = sum(np.diff(ring_starts(sweep.laser, sensor.n_lasers)) for sweep, _ in layers)
     bits = sum(laser_bits(sweep, predicted, sensor.n_lasers) for sweep, predicted in layers)
     return {"laser_returns": np.asarray(returns, np.int32), "laser_bits": np.asarray(bits, np.float32)}
 

@@ -21,7 +21,7 @@ from salpcc.stages.entropy.integers import decode_integers, encode_integers, int
 from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
 from salpcc.stages.lattice.layers import alone, movable_mask
-from salpcc.stages.lattice.publish import compensated_points
+from salpcc.stages.lattice.publish import Rounded, rounded
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL, intensity_levels
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
@@ -70,9 +70,11 @@ class Encoding:
         return ring_starts(self.sweep.laser, self.sensor.n_lasers)
 
     @cached_property
-    def model(self) -> NDArray[np.float64]:
-        """The model points ``(M, 3)`` of the returns."""
-        return unproject(self.sensor, self.sweep.laser, self.sweep.tick, self.sweep.count)
+    def rounded(self) -> Rounded:
+        """The returns on their way from the model to the file."""
+        sweep = self.sweep
+        model = unproject(self.sensor, sweep.laser, sweep.tick, sweep.count)
+        return rounded(model, sweep.millimetre, sweep.motion)
 
     @cached_property
     def listed(self) -> Sweep:
@@ -219,14 +221,14 @@ def _decode_levels(scan: Decoding, stream: bytes) -> None:
 def _encode_millimetre(scan: Encoding) -> bytes:
     if scan.sweep.max_error > 0:
         return b""
-    return _corrections(scan, MILLIMETRE, scan.model, scan.sweep.millimetre, scan.state.millimetre)
+    return _corrections(scan, MILLIMETRE, scan.rounded, scan.sweep.millimetre, scan.state.millimetre)
 
 
 def _decode_millimetre(scan: Decoding, stream: bytes) -> None:
     reach, codes = scan.header.millimetre_reach, np.full(scan.header.returns, NO_CORRECTION, np.uint8)
     if scan.header.max_error == 0 and reach >= 0:
         codes, sound = correction_coder.decode_corrections(
-            MILLIMETRE, scan.model, reach, scan.state.millimetre, as_array(stream)
+            MILLIMETRE, rounded(scan.model, codes, None), reach, scan.state.millimetre, as_array(stream)
         )
         require_sound(sound)
     scan.sweep = replace(scan.sweep, millimetre=codes)
@@ -236,29 +238,28 @@ def _encode_ulp(scan: Encoding) -> bytes:
     sweep = scan.sweep
     if sweep.max_error > 0:
         return b""
-    points = compensated_points(scan.model, sweep.millimetre, sweep.motion)
-    return _corrections(scan, FLOAT32, points, sweep.ulp, scan.state.ulp)
+    return _corrections(scan, FLOAT32, scan.rounded, sweep.ulp, scan.state.ulp)
 
 
 def _decode_ulp(scan: Decoding, stream: bytes) -> None:
     reach, codes = scan.header.ulp_reach, np.full(scan.header.returns, NO_CORRECTION, np.uint8)
     if scan.header.max_error == 0 and reach >= 0:
-        points = compensated_points(scan.model, scan.sweep.millimetre, scan.sweep.motion)
+        given = rounded(scan.model, scan.sweep.millimetre, scan.sweep.motion)
         codes, sound = correction_coder.decode_corrections(
-            FLOAT32, points, reach, scan.state.ulp, as_array(stream)
+            FLOAT32, given, reach, scan.state.ulp, as_array(stream)
         )
         require_sound(sound)
     scan.sweep = replace(scan.sweep, ulp=codes)
 
 
 def _corrections(
-    scan: Encoding, rounding: int, points: NDArray[np.float64], codes: Data, bits: NDArray[np.uint16]
+    scan: Encoding, rounding: int, given: Rounded, codes: Data, bits: NDArray[np.uint16]
 ) -> bytes:
-    scan.reach[rounding] = reach = correction_coder.correction_reach(rounding, points, codes)
+    scan.reach[rounding] = reach = correction_coder.correction_reach(rounding, given, codes)
     if reach < 0:
         return b""
     return run_encoder(
-        lambda out: correction_coder.encode_corrections(rounding, points, reach, codes, bits, out),
+        lambda out: correction_coder.encode_corrections(rounding, given, reach, codes, bits, out),
         len(codes),
         bits,
     )
