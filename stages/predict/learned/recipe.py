@@ -41,15 +41,5 @@ class Recipe:
 
 RECIPES = {
     "default": Recipe(),
-    "max": Recipe(
-        128,
-        3,
-        96,
-        optimiser_steps=6000,
-        intensity_steps=6000,
-        batch=4096,
-        rate=3e-3,
-        intensity_rate=3e-3,
-        looks_back=True,
-    ),
+    "max": Recipe(128, 3, 96, optimiser_steps=6000, looks_back=True),
 }

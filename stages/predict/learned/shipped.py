@@ -14,7 +14,8 @@ from salpcc.stages.predict.learned.range_features import INPUTS
 WEIGHTS = Path(__file__).parent / "weights"
 EFFORTS = ("default", "max")
 FORMER = {
-    "default": ("default_1",)
+    "default": ("default_1",),
+    "max": ("max_1",),
 }  # weights that archives were written with before, by effort; they are read only
 
 
