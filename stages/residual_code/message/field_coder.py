@@ -12,6 +12,13 @@ import numpy as np
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.number_forms import to_bits
 from salpcc.stages.residual_code.message.learned_values import LearnedField
+from salpcc.stages.residual_code.message.multiples import (
+    find_step,
+    holds,
+    of_step,
+    read_step,
+    write_multiples,
+)
 from salpcc.stages.residual_code.message.picture_records import (
     decode_picture,
     encode_picture,
@@ -37,6 +44,7 @@ from salpcc.stages.residual_code.message.records import (
     COLUMNS,
     CONSTANT,
     LEARNED,
+    MULTIPLES,
     RESIDUALS,
     SYMBOLS,
     TIMES,
@@ -63,6 +71,10 @@ def encode_field(
     coded = encode_plain(values, points, base)
     if base is not None or len(values) < _FEWEST or 8 * len(coded) < _WORTH_IT * len(values):
         return coded
+    step = 1 if learned is None else find_step(values)
+    if step > 1:
+        multiples = encode_field(of_step(values, step), points, None, learned)
+        return min(coded, write_multiples(step, multiples), key=len)
     for other in (
         encode_laser_record(values, points),
         encode_column_record(values, points),
@@ -89,6 +101,12 @@ def encode_like(
     if known is not None:
         return known
     form = record[0]
+    if form == MULTIPLES:
+        step = read_step(record, 0, values.dtype)
+        if (values % values.dtype.type(step)).any():
+            return None
+        coded = encode_like(record[holds(record) :], of_step(values, step), points, None, learned)
+        return coded and write_multiples(step, coded)
     if form in (RESIDUALS, SYMBOLS):
         return encode_plain_like(record, values, points, base)
     if form == BY_LASER:
@@ -138,6 +156,10 @@ def decode_field(
     if data[at] == CONSTANT:
         end = at + 1 + kind.itemsize
         return np.full(n, np.frombuffer(data, kind, 1, at + 1)[0]), end
+    if data[at] == MULTIPLES:
+        step = read_step(data, at, kind)
+        values, end = decode_field(data, holds(data, at), kind, points, None, learned)
+        return values * kind.type(step), end
     if data[at] == LEARNED and learned is not None:
         return decode_picture(data, at + 1, kind, points, learned)
     if data[at] in _DECODE:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field, encode_like
 from salpcc.stages.residual_code.message.learned_values import LearnedField
+from salpcc.stages.residual_code.message.multiples import holds
 from salpcc.stages.residual_code.message.picture_records import learned_way
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import LEARNED
@@ -48,7 +49,7 @@ class FieldModes:
         learned = self._of(name) if self._learns else None
         record = self._written(name, values, points, base, learned)
         if learned is not None:
-            learned.settle(learned_way(record))
+            learned.settle(learned_way(record[holds(record) :]))
         return record
 
     def _written(
@@ -82,7 +83,8 @@ class FieldModes:
         Raises:
             ArchiveError: it is damaged.
         """
-        learned = self._of(name) if data[at : at + 1] == bytes([LEARNED]) else None
+        inner = holds(data, at)
+        learned = self._of(name) if data[inner : inner + 1] == bytes([LEARNED]) else None
         return decode_field(data, at, kind, points, base, learned)
 
     @staticmethod

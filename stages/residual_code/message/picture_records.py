@@ -19,7 +19,7 @@ from salpcc.stages.entropy.number_forms import (
 )
 from salpcc.stages.residual_code.message.blended_values import MOST, decode_blended, encode_blended
 from salpcc.stages.residual_code.message.learned_values import LearnedField
-from salpcc.stages.residual_code.message.points import FIRED, GUIDED, LISTED, ROWS, Points
+from salpcc.stages.residual_code.message.points import FIRED, GUIDED, LISTED, ROWS, SKY, Points
 from salpcc.stages.residual_code.message.records import BLENDED, LEARNED, Values, unpacked
 
 _BLENDED = struct.Struct("<BBBI")  # what lies around, form, scale, length
@@ -28,7 +28,12 @@ _BLENDED = struct.Struct("<BBBI")  # what lies around, form, scale, length
 def encode_picture(values: Values, points: Points, learned: LearnedField | None) -> bytes | None:
     """A field that looks like a picture; None where its values are no whole numbers, or too large."""
     ways = [ROWS] * (points.width > 1) + [FIRED] * points.on_lattice or [LISTED]
-    return _encode_as([*ways, *(way + GUIDED for way in ways)], values, points, learned)
+    ways += [way + GUIDED for way in ways]
+    if (
+        learned is not None and points.width > 1 and values[points.void].any()
+    ):  # light is seen without returns, too
+        ways.append(SKY)
+    return _encode_as(ways, values, points, learned)
 
 
 def encode_picture_like(
@@ -73,7 +78,7 @@ def decode_picture(
 ) -> tuple[Values, int]:
     """Inverse of :func:`encode_picture`: the values, and where the record ends; ``at``: behind its kind."""
     (what, form, scale, length), at = unpacked(_BLENDED, data, at)
-    around = points.around(what) if what <= ROWS + GUIDED else None
+    around = points.around(what) if what <= (ROWS + GUIDED if learned is None else SKY) else None
     sound = form == (DECIMAL if kind.kind == "f" else BITS) and scale < len(SCALES)
     if around is None or not sound or at + length > len(data):
         raise ArchiveError("payload does not decode")

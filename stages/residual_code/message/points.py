@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,8 +15,10 @@ from salpcc.stages.residual_code.message.blended_values import Around
 from salpcc.stages.residual_code.message.firing_times import Fired, fired_by
 from salpcc.stages.strays.timeline import LASERS, Passed, Timeline
 
-# What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide.
+# What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide; its row and column, void points far away.
 LISTED, FIRED, ROWS, GUIDED = range(4)
+SKY = ROWS + GUIDED + 1
+_FAR = 200.0  # metres
 _CLOSE = 0.002  # metres from the lattice
 
 
@@ -76,6 +78,9 @@ class Points:
     def around(self, what: int) -> Around | None:
         """What values are blended from; None where it is not known."""
         n, nobody, guide = len(self.void), np.full(2, -1), np.zeros(0, np.int64)
+        if what == SKY:
+            far = np.where(self.void, _FAR, self.ranges)
+            return replace(self, void=np.zeros(n, np.bool_), ranges=far).around(ROWS)
         if what >= GUIDED:
             if self.guide is None:
                 return None

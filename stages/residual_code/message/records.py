@@ -13,7 +13,7 @@ from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.message.points import Points
 
-CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD, BLENDED, LEARNED = range(9)
+CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TOLD, BLENDED, LEARNED, MULTIPLES = range(10)
 Values = NDArray[Any]
 Integers = NDArray[np.int64]
 
