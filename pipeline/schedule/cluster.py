@@ -7,9 +7,10 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from typing import Any
 
 import dask
-from distributed import Client, LocalCluster, Worker
+from distributed import Client, LocalCluster, Nanny, Worker
 from distributed.core import Status
 from tornado.ioloop import PeriodicCallback
 
@@ -29,6 +30,13 @@ _WORKER_ENVIRONMENT = {
     "MALLOC_MMAP_THRESHOLD_": "16777216",
     "MALLOC_TRIM_THRESHOLD_": "67108864",
 }
+
+
+class _Nanny(Nanny):
+    """Keeps a worker that draws no pages of its own: nobody looks at them, and to import what draws them takes it a second."""
+
+    def __init__(self, *addresses: Any, **options: Any) -> None:
+        super().__init__(*addresses, **options | {"dashboard": False})
 
 
 @contextmanager
@@ -77,6 +85,7 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
             memory_limit=0,
             dashboard_address="127.0.0.1:0",
             worker_dashboard_address="127.0.0.1:0",
+            worker_class=_Nanny if count else None,
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,
