@@ -252,7 +252,7 @@ def _off_lattice(config: RunConfig, static: ScanPayload, movable: ScanPayload | 
 
 
 def _warm_up(reader: ArchiveReader, gop: int) -> None:
-    """Decode two scans for nothing the first time in a process, so that numba has compiled what is measured."""
+    """Decode two scans for nothing the first time in a process, so that numba has compiled what is measured: ``max`` looks back."""
     effort = str(reader.facts.config.get("effort"))
     if effort not in _warm:
         for _ in zip(range(2), decode_scans(reader, gop), strict=False):

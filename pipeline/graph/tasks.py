@@ -95,7 +95,7 @@ def _work(
     errors = list(facts["errors"])
     if stage == "ingest":
         table, times = _timed(
-            stage, lambda few: STAGES[stage].run(replace(gop, scans=gop.scans[: 2 if few else None]), config)
+            stage, lambda few: STAGES[stage].run(replace(gop, scans=gop.scans[: 1 if few else None]), config)
         )
         errors += facts_of(table.schema)["errors"]
         scans = table.num_rows
@@ -108,7 +108,7 @@ def _work(
 
         def run(few: bool) -> pa.Table:
             if few:
-                return STAGES[stage].run(*only(tables, set(tables[0].column("name").to_pylist()[:2])), config)
+                return STAGES[stage].run(*only(tables, set(tables[0].column("name").to_pylist()[:1])), config)
             result, found = run_isolated(lambda some: STAGES[stage].run(*some, config), tables)
             guilty.update(found)
             return result
@@ -130,9 +130,9 @@ def _work(
 
 
 def _timed(stage: str, run: Callable[[bool], pa.Table]) -> tuple[pa.Table, tuple[float, float]]:
-    """Run ``run(False)``: its table, and CPU and wall milliseconds without the compilation by numba.
+    """Run ``run(False)``: its table, and CPU and wall milliseconds without what numba compiles and loads.
 
-    The first time in a process, ``run(True)`` (two scans only) goes before for nothing, so that kernels are loaded.
+    The first time in a process, ``run(True)`` (one scan only) goes before for nothing, so that all else is loaded, too.
     """
     if stage not in _warm:
         _warm.add(stage)
