@@ -33,7 +33,7 @@ _LEAST_SURE, _SURE = (
     50,
     0.8,
 )  # pixels, and mean probability, of a movable object that touches a thing which is not
-_SEAM = 0.3  # of the pixels along its left and right edge that go on into that thing: a piece of it, then
+_SEAM = 0.4  # of the pixels along its left and right edge that go on into that thing: a piece of it, then
 _SEAMLESS, _SEAMLESS_BY_RANGE = (
     0.03,
     0.004,
