@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.predict.learned.range_features import rounded, squash
-from salpcc.stages.predict.learned.vectors import (
+from salpcc.stages.predict.ring_rows import PAD
+from salpcc.stages.predict.vectors import (
     choose,
     inline,
     join,
@@ -28,7 +29,6 @@ from salpcc.stages.predict.learned.vectors import (
     store,
     summed,
 )
-from salpcc.stages.predict.ring_rows import PAD
 
 LEFT = 6
 INPUTS = 56

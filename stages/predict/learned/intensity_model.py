@@ -48,10 +48,10 @@ from salpcc.stages.predict.learned.value_intervals import (
     frequencies,
     value_start,
 )
-from salpcc.stages.predict.learned.vectors import kernel, load, push, spread, store
 from salpcc.stages.predict.learned.walks import COLLECT, DECODE, NO_ROWS, PREDICT, Rows, to_decode, to_predict
 from salpcc.stages.predict.ring_rows import PAD, align, place_rings
 from salpcc.stages.predict.sweep_walk import laser_constants
+from salpcc.stages.predict.vectors import kernel, load, push, spread, store
 
 _ZERO, _START = np.float32(0.0), np.float32(3.0)
 _OLD, _NEW = np.float32(0.75), np.float32(0.25)  # weights of running means

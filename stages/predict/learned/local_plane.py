@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.vectors import Lanes, inline, join, lane, load, pick, splice, spread
+from salpcc.stages.predict.vectors import Lanes, inline, join, lane, load, pick, splice, spread
 
 LEFT, UPPER, SECOND = 8, 10, 6
 SLOTS = 24

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.vectors import cast, highest, inline, larger, load, smaller, store, summed
+from salpcc.stages.predict.vectors import cast, highest, inline, larger, load, smaller, store, summed
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -18,7 +18,8 @@ from salpcc.stages.predict.learned import range_features as features
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.learned.range_features import NO_ERROR, rounded, squash
 from salpcc.stages.predict.learned.range_features import PREDICTORS as OF_SWEEP
-from salpcc.stages.predict.learned.vectors import (
+from salpcc.stages.predict.ring_rows import PAD, align
+from salpcc.stages.predict.vectors import (
     Lanes,
     choose,
     inline,
@@ -33,7 +34,6 @@ from salpcc.stages.predict.learned.vectors import (
     store,
     summed,
 )
-from salpcc.stages.predict.ring_rows import PAD, align
 
 OWN, NEXT = 6, 4
 SLOTS = OWN + 2 * NEXT

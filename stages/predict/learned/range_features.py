@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.predict.learned.local_plane import LEFT, SECOND, UPPER, around, fit_plane, residuals, weigh
-from salpcc.stages.predict.learned.vectors import (
+from salpcc.stages.predict.ring_rows import PAD
+from salpcc.stages.predict.vectors import (
     Lanes,
     cast,
     choose,
@@ -35,7 +36,6 @@ from salpcc.stages.predict.learned.vectors import (
     store,
     whole,
 )
-from salpcc.stages.predict.ring_rows import PAD
 
 PREDICTORS = 10
 INPUTS = 72

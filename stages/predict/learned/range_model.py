@@ -50,10 +50,10 @@ from salpcc.stages.predict.learned.range_features import (
     slot_places,
     squashed_errors,
 )
-from salpcc.stages.predict.learned.vectors import kernel, lane, load, pick, push, spread, store
 from salpcc.stages.predict.learned.walks import COLLECT, DECODE, NO_ROWS, PREDICT, Rows, to_decode, to_predict
 from salpcc.stages.predict.ring_rows import PAD, align, close_ring, row_size
 from salpcc.stages.predict.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
+from salpcc.stages.predict.vectors import kernel, lane, load, pick, push, spread, store
 
 LEVEL_LIMIT = 1 << 17  # levels of a sweep; a return beyond cannot be coded here
 HEADER = 3

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from salpcc.stages.entropy.rans import Slots, Words, pop, refill
-from salpcc.stages.predict.learned.vectors import count, inline, of
+from salpcc.stages.predict.vectors import count, inline, of
 
 VALUES = 101
 ESCAPE = 101  # followed by 7 even bits

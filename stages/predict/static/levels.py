@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, sin_cos
-from salpcc.stages.predict.learned.vectors import (
+from salpcc.stages.predict.vectors import (
     Lanes,
     count,
     inline,

@@ -13,10 +13,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.rans import Slots, Words, begin, ended
-from salpcc.stages.predict.learned.vectors import kernel, load
 from salpcc.stages.predict.static import intensities, levels
 from salpcc.stages.predict.static.tokens import get
 from salpcc.stages.predict.sweep_walk import longest_ring
+from salpcc.stages.predict.vectors import kernel, load
 
 Floats = NDArray[np.float64]
 Starts = NDArray[np.int64]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from salpcc.stages.predict.learned import vectors
-from salpcc.stages.predict.learned.vectors import (
+from salpcc.stages.predict import vectors
+from salpcc.stages.predict.vectors import (
     cast,
     choose,
     count,
