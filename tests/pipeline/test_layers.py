@@ -24,7 +24,7 @@ from salpcc.schemas.messages import CloudMessage
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import message_to_scan, scan_to_message
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.residual_code.archive import reader as archive_reader
+from salpcc.stages.residual_code.archive import record_file
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 OPTIONS = {"effort": "fast", "gop": 2, "labels": "given", "keep_movable": False}
@@ -80,7 +80,7 @@ def test_the_static_layer_touches_no_byte_of_the_other(
         touched.append((at, at + length))
         return files.read_at(path, at, length)
 
-    monkeypatch.setattr(archive_reader, "read_at", counting)
+    monkeypatch.setattr(record_file, "read_at", counting)
     chunks = [
         (chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length)
         for layer, _, chunk in ArchiveReader(layered).layer_chunks()
