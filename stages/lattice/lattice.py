@@ -211,7 +211,12 @@ def correction_code(a: int, b: int, c: int) -> int:
     return 9 * a + 3 * b + c + NO_CORRECTION
 
 
+@njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+def digits_of(code: int) -> tuple[int, int, int]:
+    """Inverse of :func:`correction_code` for a code 0..26: three differences in -1..1."""
+    return code // 9 - 1, code // 3 % 3 - 1, code % 3 - 1
+
+
 def corrections(codes: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Inverse of :func:`correction_code` for codes 0..26: ``(N, 3)`` in -1..1."""
-    wide = codes.astype(np.int64)
-    return np.stack([wide // 9 - 1, wide // 3 % 3 - 1, wide % 3 - 1], axis=1)
+    return np.stack(digits_of.py_func(codes.astype(np.int64)), axis=1)

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.lattice import NO_CORRECTION, corrections
+from salpcc.stages.lattice.lattice import NO_CORRECTION, corrections, digits_of
 from salpcc.stages.lattice.untwist import BLOCK, forward, on_lattice
 
 Column = NDArray[np.float64]
@@ -63,10 +63,10 @@ def compensate(given: Rounded, start: int, size: int, x: Column, y: Column, z: C
     model, motion = given.model, given.motion
     m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
     for i in range(size):
-        code = np.int64(given.millimetre[start + i])
-        x[i] = on_lattice(model[start + i, 0], code // 9 - 1)
-        y[i] = on_lattice(model[start + i, 1], code // 3 % 3 - 1)
-        z[i] = on_lattice(model[start + i, 2], code % 3 - 1)
+        a, b, c = digits_of(np.int64(given.millimetre[start + i]))
+        x[i] = on_lattice(model[start + i, 0], a)
+        y[i] = on_lattice(model[start + i, 1], b)
+        z[i] = on_lattice(model[start + i, 2], c)
     if given.moving:
         for i in range(size):
             x[i], y[i], z[i] = forward(x[i], y[i], z[i], m)

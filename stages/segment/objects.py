@@ -80,6 +80,15 @@ def _root(parent: I32, i: int) -> int:
     return i
 
 
+@njit(cache=True, inline="always")
+def _square(planes: F32, i: int, j: int, a: int, b: int) -> np.float32:
+    """Square of the metres between two pixels."""
+    dx = planes[0, i, j] - planes[0, a, b]
+    dy = planes[1, i, j] - planes[1, a, b]
+    dz = planes[2, i, j] - planes[2, a, b]
+    return dx * dx + dy * dy + dz * dz
+
+
 @njit(cache=True)
 def connected(planes: F32, asked: NDArray[np.bool_]) -> tuple[I32, int]:
     """Name the connected parts of the ``asked`` pixels ``(H, W)``: the part of each, from 0 on, -1 for none; and how many."""
@@ -96,10 +105,7 @@ def connected(planes: F32, asked: NDArray[np.bool_]) -> tuple[I32, int]:
                     b = (j + step) % columns
                     if not asked[a, b]:
                         continue
-                    dx = planes[0, i, j] - planes[0, a, b]
-                    dy = planes[1, i, j] - planes[1, a, b]
-                    dz = planes[2, i, j] - planes[2, a, b]
-                    if dx * dx + dy * dy + dz * dz < gap * gap:
+                    if _square(planes, i, j, a, b) < gap * gap:
                         there = _root(parent, a * columns + b)
                         if there < here:
                             parent[here] = there
@@ -212,10 +218,7 @@ def _edges(names: I32, cores: I32, count: int, planes: F32) -> tuple[F64, F64]:
                 ends[core] += 1
                 if names[i, beside] != names[i, j]:
                     continue
-                dx = planes[0, i, j] - planes[0, i, beside]
-                dy = planes[1, i, j] - planes[1, i, beside]
-                dz = planes[2, i, j] - planes[2, i, beside]
-                seamless[core] += dx * dx + dy * dy + dz * dz < gap * gap
+                seamless[core] += _square(planes, i, j, i, beside) < gap * gap
     return ends, seamless
 
 

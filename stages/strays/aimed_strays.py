@@ -172,14 +172,14 @@ def lasers_of(aimed: Aimed) -> Array:
     return np.where(aimed.kinds == AIMED, aimed.laser, OFF_LASER).astype(np.uint8)
 
 
-def number_of(body: bytes) -> int:
+def number_of(body: bytes | Array) -> int:
     """The number of what a body that :func:`write_body` wrote goes on from; 0: of nothing."""
-    return body[0] >> 4
+    return int(body[0]) >> 4
 
 
 def passed_of(body: Array, lists: LearnedLists | None) -> Passed | None:
     """Where the points of a body that :func:`read_body` has read were in the list before, if that is known."""
-    number = int(body[0]) >> 4 if len(body) else 0
+    number = number_of(body) if len(body) else 0
     return None if lists is None or not number else lists.of_number(number).passed
 
 

@@ -5,11 +5,9 @@ Each stands on z = 0 with its middle at x = y = 0 and looks along +x, as those o
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from salpcc.stages.ingest.simulator.mesh import Mesh, box, extrude, merge, tube
+from salpcc.stages.ingest.simulator.mesh import Kinds, Mesh, box, drawn, extrude, merge, tube
 from salpcc.stages.ingest.simulator.vehicles import (
     BUS,
     GLASS,
@@ -157,7 +155,7 @@ def caravan(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-_FLEET: tuple[tuple[Callable[[np.random.Generator], Mesh], float], ...] = (
+_FLEET: Kinds = (
     (delivery_van, 0.34),
     (truck, 0.16),
     (semitrailer, 0.14),
@@ -171,5 +169,4 @@ _FLEET: tuple[tuple[Callable[[np.random.Generator], Mesh], float], ...] = (
 
 def large_vehicle(rng: np.random.Generator) -> Mesh:
     """Shape one, of a kind drawn at random."""
-    shape = _FLEET[int(rng.choice(len(_FLEET), p=[share for _, share in _FLEET]))][0]
-    return shape(rng)
+    return drawn(_FLEET, rng)(rng)

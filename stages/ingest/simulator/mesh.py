@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +43,15 @@ class Mesh:
     def labelled(self, label: int, instance: int = 0) -> Mesh:
         """Give every triangle one label and instance."""
         return replace(self, label=np.full_like(self.label, label | instance << 16))
+
+
+Shape = Callable[..., Mesh]  # shapes a thing with a random generator
+Kinds = tuple[tuple[Shape, float], ...]  # of things, and the share of each
+
+
+def drawn(kinds: Kinds, rng: np.random.Generator) -> Shape:
+    """Draw a kind of thing by the shares, which add up to 1."""
+    return kinds[int(rng.choice(len(kinds), p=[share for _, share in kinds]))][0]
 
 
 def surface(vertices: ArrayLike, triangles: ArrayLike, material: int, label: int, gain: float = 1.0) -> Mesh:

@@ -5,11 +5,9 @@ Each stands on z = 0 with its middle at x = y = 0 along +x, as those of :mod:`.v
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from salpcc.stages.ingest.simulator.mesh import Mesh, box, extrude, merge
+from salpcc.stages.ingest.simulator.mesh import Kinds, Mesh, box, drawn, extrude, merge
 from salpcc.stages.ingest.simulator.structures import (
     BUILDING,
     FENCE,
@@ -100,7 +98,7 @@ def large_sign(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-_KINDS: tuple[tuple[Callable[[np.random.Generator], Mesh], float], ...] = (
+_KINDS: Kinds = (
     (wall, 0.35),
     (garage, 0.25),
     (guard_rail, 0.2),
@@ -111,5 +109,4 @@ _KINDS: tuple[tuple[Callable[[np.random.Generator], Mesh], float], ...] = (
 
 def roadside_thing(rng: np.random.Generator) -> Mesh:
     """Shape one, of a kind drawn at random."""
-    shape = _KINDS[int(rng.choice(len(_KINDS), p=[share for _, share in _KINDS]))][0]
-    return shape(rng)
+    return drawn(_KINDS, rng)(rng)

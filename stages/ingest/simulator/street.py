@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from salpcc.stages.ingest.simulator import large_vehicles, plants, roadside, str
 from salpcc.stages.ingest.simulator.config import SimulationConfig
 from salpcc.stages.ingest.simulator.drive import CentreLine
 from salpcc.stages.ingest.simulator.ground import KERB, Stretch, ground, height
-from salpcc.stages.ingest.simulator.mesh import Mesh
+from salpcc.stages.ingest.simulator.mesh import Kinds, Mesh, drawn
 
 _KINDS = ("row", "houses", "green", "wall")
 _MIX = {
@@ -20,7 +19,7 @@ _MIX = {
     "country": (0.0, 0.10, 0.75, 0.15),
     "mixed": (0.12, 0.33, 0.35, 0.20),
 }
-_PARKED: tuple[tuple[Callable[..., Mesh], float], ...] = (
+_PARKED: Kinds = (
     (vehicles.car, 0.93),
     (vehicles.truck, 0.04),
     (vehicles.motorcycle, 0.03),
@@ -71,6 +70,11 @@ class _Builder:
         place[2] += float(height(np.float64(s), np.float64(left), self.road)) + kerb
         self.pieces.append(Piece(s, mesh.moved(place, float(self.line.angle(np.float64(s))) + turn)))
 
+    def named(self, mesh: Mesh) -> Mesh:
+        """Make an instance of its own of a mesh of one label."""
+        self.instances += 1
+        return mesh.labelled(int(mesh.label[0]), self.instances)
+
     def along(self, st: Stretch, low: float, high: float) -> list[float]:
         """Draw lengths over a stretch with random gaps from ``low`` to ``high``."""
         out, s = [], st.start + float(self.rng.uniform(0, high))
@@ -85,18 +89,14 @@ class _Builder:
         parked = self.config.parked * (1.5 if st.parking else 0.35)
         for s in self.along(st, 6.0, 7.5) if not self.config.large else self.along(st, 12.0, 19.0):
             if rng.random() < parked:
-                self.instances += 1
-                make = _PARKED[int(rng.choice(3, p=[share for _, share in _PARKED]))][0]
+                make = drawn(_PARKED, rng)
                 if self.config.large and rng.random() < self.config.large:
                     make = large_vehicles.large_vehicle
                 turn = (0.0 if side < 0 else np.pi) + float(rng.normal(0, 0.02))
-                mesh = make(rng)
                 left = edge - 1.15 if st.parking else edge + 0.7
-                self.put(mesh.labelled(int(mesh.label[0]), self.instances), s, side * left, turn, 0.02)
+                self.put(self.named(make(rng)), s, side * left, turn, 0.02)
             elif self.config.beside and rng.random() < self.config.beside:
-                self.instances += 1
-                mesh = roadside.roadside_thing(rng)
-                mesh = mesh.labelled(int(mesh.label[0]), self.instances)
+                mesh = self.named(roadside.roadside_thing(rng))
                 self.put(mesh, s, side * (edge + float(rng.uniform(0.3, 3.0))), float(rng.normal(0, 0.05)))
         for s in self.along(st, 20, 32):
             self.put(
@@ -110,8 +110,7 @@ class _Builder:
             for s in self.along(st, 9, 15):
                 self.put(plants.tree(rng), s, side * (st.edge(self.road) - 0.3))
         for s in self.along(st, 25, 120):
-            self.instances += 1
-            mesh = vehicles.bicycle(rng).labelled(vehicles.BICYCLE, self.instances)
+            mesh = self.named(vehicles.bicycle(rng))
             self.put(mesh, s, side * (st.edge(self.road) - 0.3), float(rng.normal(0, 0.3)))
 
     def border(self, st: Stretch, left: float) -> None:

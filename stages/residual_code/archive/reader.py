@@ -22,15 +22,9 @@ from salpcc.schemas.log import Enclosed, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records, stream
 from salpcc.schemas.messages import CloudMessage
 from salpcc.schemas.work import Movable
-from salpcc.stages.residual_code.archive.format import (
-    ScanEntry,
-    ScanPayload,
-)
+from salpcc.stages.residual_code.archive.format import ScanEntry, ScanPayload
 from salpcc.stages.residual_code.archive.index import read_index
-from salpcc.stages.residual_code.archive.passing import (
-    passing_messages,
-    read_passing_enclosed,
-)
+from salpcc.stages.residual_code.archive.passing import passing_messages, read_passing_enclosed
 from salpcc.stages.residual_code.archive.record_file import RecordFile
 from salpcc.stages.residual_code.archive.side_files import SideFile, side_file
 
@@ -55,14 +49,15 @@ class ArchiveReader:
         Raises:
             ArchiveError: not an archive of this tool, damaged, truncated, or of a newer major version.
         """
+        self.path = location(path)
         try:
-            self._file = RecordFile(path)
+            self._file = RecordFile(self.path)
             self._index = read_index(self._file)
         except OSError as error:
-            raise ArchiveError(f"{location(path)}: {why(error)}") from error
+            raise ArchiveError(f"{self.path}: {why(error)}") from error
         except PARSE_ERRORS as error:
-            raise ArchiveError(f"{location(path)}: the index is damaged ({error})") from error
-        self.path, self.size = self._file.path, self._file.size
+            raise ArchiveError(f"{self.path}: the index is damaged ({error})") from error
+        self.size = self._file.size
         self.facts = self._index.facts
         self.gops, self.movable_gops = self._index.gops, self._index.movable_gops
         self.log = self._index.log

@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.schemas.files import location, read_at
+from salpcc.schemas.files import read_at
 from salpcc.schemas.mcap_chunks import stream
 
 
@@ -23,9 +23,9 @@ class RecordFile:
         size: its bytes.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: Path) -> None:
         """Look at ``path``; raises OSError where it is not there."""
-        self.path = location(path)
+        self.path = path
         self.size = self.path.stat().st_size
 
     def bytes_at(self, at: int, length: int) -> bytes:

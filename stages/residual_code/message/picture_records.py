@@ -17,8 +17,8 @@ from salpcc.stages.entropy.number_forms import (
     from_scale,
     to_scale,
 )
-from salpcc.stages.residual_code.message.blended_values import MOST, decode_blended, encode_blended
-from salpcc.stages.residual_code.message.learned_values import LearnedField
+from salpcc.stages.residual_code.message.blended_values import MOST, Around, decode_blended, encode_blended
+from salpcc.stages.residual_code.message.learned_values import LearnedField, ValueWalk
 from salpcc.stages.residual_code.message.points import FIRED, GUIDED, LISTED, ROWS, SKY, Points
 from salpcc.stages.residual_code.message.records import BLENDED, LEARNED, Values, unpacked
 
@@ -58,14 +58,14 @@ def _encode_as(ways: list[int], values: Values, points: Points, learned: Learned
     for what in ways:
         around = points.around(what)
         if around is not None:
-            stream = encode_blended(
-                integers,
-                around,
-                None if learned is None else learned.walk(what, around, *points.ticks(what), points.passed),
-            )
+            stream = encode_blended(integers, around, _walk(learned, what, around, points))
             kind = BLENDED if learned is None else LEARNED
             coded.append(bytes([kind]) + _BLENDED.pack(what, form, scale, len(stream)) + stream)
     return min(coded, key=len, default=None)
+
+
+def _walk(learned: LearnedField | None, what: int, around: Around, points: Points) -> ValueWalk | None:
+    return None if learned is None else learned.walk(what, around, *points.ticks(what), points.passed)
 
 
 def learned_way(record: bytes) -> int | None:
@@ -82,7 +82,7 @@ def decode_picture(
     sound = form == (DECIMAL if kind.kind == "f" else BITS) and scale < len(SCALES)
     if around is None or not sound or at + length > len(data):
         raise ArchiveError("payload does not decode")
-    walk = None if learned is None else learned.walk(what, around, *points.ticks(what), points.passed)
+    walk = _walk(learned, what, around, points)
     integers, sound = decode_blended(around, data[at : at + length], walk)
     if learned is not None:
         learned.settle(what)

@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.walks import code_bit, finish_coder, start_coder, uncounted
+from salpcc.stages.lattice.lattice import NO_CORRECTION, digits_of
 from salpcc.stages.lattice.publish import (
     Column,
     Rounded,
@@ -27,7 +28,6 @@ MILLIMETRE, FLOAT32 = 0, 1
 _BUCKETS = 24
 CONTEXTS = _BUCKETS + 1
 _ACROSS = _BUCKETS
-_NONE = 13
 
 
 class Near(NamedTuple):
@@ -78,12 +78,6 @@ def _boundary(rounding: int, value: float) -> tuple[float, float]:
     return millimetre_boundary(value) if rounding == MILLIMETRE else float32_boundary(value)
 
 
-@njit(cache=True, _nrt=False, inline="always")
-def _digits(code: np.int64) -> tuple[np.int64, np.int64, np.int64]:
-    """The corrections, -1 to 1, of the three coordinates of a code."""
-    return code // 9 - 1, code // 3 % 3 - 1, code % 3 - 1
-
-
 @uncounted
 def _coordinates(rounding: int, given: Rounded, start: int, size: int, near: Near) -> None:
     """Fill the coordinates of ``size`` points from ``start`` on, as they are before the rounding."""
@@ -111,9 +105,9 @@ def correction_reach(rounding: int, given: Rounded, codes: NDArray[np.uint8]) ->
     reach = -1.0
     near = _room(1)
     for i in range(len(codes)):
-        if codes[i] != _NONE:
+        if codes[i] != NO_CORRECTION:
             _coordinates(rounding, given, i, 1, near)
-            point, digits = (near.x[0], near.y[0], near.z[0]), _digits(np.int64(codes[i]))
+            point, digits = (near.x[0], near.y[0], near.z[0]), digits_of(np.int64(codes[i]))
             for c in range(3):
                 if digits[c] != 0:
                     reach = max(reach, _boundary(rounding, point[c])[0])
@@ -144,7 +138,7 @@ def _walk(
             if min(distance[0], distance[1], distance[2]) > reach:
                 continue
             steps = near.sx[i], near.sy[i], near.sz[i]
-            digits = _digits(np.int64(codes[start + i]))
+            digits = digits_of(np.int64(codes[start + i]))
             code = np.int64(0)
             for c in range(3):
                 digit, across = np.int64(0), np.int64(steps[c])
@@ -187,5 +181,5 @@ def decode_corrections(
     data: NDArray[np.uint8],
 ) -> tuple[NDArray[np.uint8], bool]:
     """Inverse of :func:`encode_corrections`; the codes and whether the data sufficed."""
-    codes, coder = np.full(len(given.model), _NONE, np.uint8), start_coder(False, data)
+    codes, coder = np.full(len(given.model), NO_CORRECTION, np.uint8), start_coder(False, data)
     return codes, _walk(False, coder, rounding, given, reach, codes, model, _room(BLOCK), data) == 0

@@ -145,8 +145,9 @@ class InstanceBank:
         if not labels:
             return None
         vehicle, person, other = kinds
-        known = {"car": 1.0, "truck": vehicle, "other-vehicle": vehicle, "person": person}
-        known |= {"building": vehicle, "fence": vehicle}  # what may pass for a lorry
+        # Buildings and fences that have names are those that may pass for a lorry.
+        lorries = dict.fromkeys(("truck", "other-vehicle", "building", "fence"), vehicle)
+        known = lorries | {"car": 1.0, "person": person}
         weights = np.array([known.get(CLASSES[label].name, other) for label in labels])
         kept = self.instances[labels[int(rng.choice(len(labels), p=weights / weights.sum()))]]
         return kept[int(rng.integers(len(kept)))]
