@@ -23,7 +23,8 @@ from salpcc.stages.residual_code.sensor.header import (
     SIX,
     Header,
 )
-from salpcc.stages.residual_code.sensor.streams import STREAMS, Decoding, Encoding
+from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding
+from salpcc.stages.residual_code.sensor.streams import STREAMS
 from salpcc.stages.residual_code.stream import GROUPS, Payload, Stream
 
 _CRC = struct.Struct("<I")

@@ -16,7 +16,8 @@ from salpcc.stages.predict.sweep_walk import supports
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import LAYER, MOTION, Header, content_crc
 from salpcc.stages.residual_code.sensor.payload import pack, unpack
-from salpcc.stages.residual_code.sensor.streams import STREAMS, Decoding, Encoding
+from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding
+from salpcc.stages.residual_code.sensor.streams import STREAMS
 from salpcc.stages.residual_code.stream import Payload
 from salpcc.stages.strays.stray_coder import off_lattice
 

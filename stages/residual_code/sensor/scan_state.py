@@ -1,0 +1,143 @@
+"""What is known of one scan while it is coded: what the encoders of its streams read, what its decoders leave for each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from salpcc.schemas.prediction import Prediction
+from salpcc.schemas.scan import Scan
+from salpcc.schemas.sweep import Sweep
+from salpcc.stages.ingest.point_cloud import times_of
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.layers import alone, movable_mask
+from salpcc.stages.lattice.publish import Rounded, rounded
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.predict.hundredths import intensity_levels
+from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
+from salpcc.stages.predict.ring_starts import ring_starts
+from salpcc.stages.residual_code.message import logged_scan
+from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.sensor.gop_state import GopState
+from salpcc.stages.residual_code.sensor.header import CLOUD, FLOAT_INTENSITY, Header
+from salpcc.stages.residual_code.sensor.value_models import ValueModels
+from salpcc.stages.strays.stray_coder import Plan, plan
+from salpcc.stages.strays.timeline import Timeline
+
+_PATIENCE = 2  # scans of a group whose points are sought by their times in vain: a search takes seconds
+
+
+@dataclass
+class Encoding:
+    """One scan while it is encoded: ``flags`` and ``reach`` are for its header, the streams set them.
+
+    Args:
+        static: the static layer, where ``sweep`` is the movable one.
+    """
+
+    sweep: Sweep
+    sensor: SensorModel
+    predicted: Prediction
+    state: GopState
+    static: Sweep | None
+    flags: int = 0
+    reach: list[float] = field(default_factory=lambda: [-1.0, -1.0])  # of millimetres, of float32
+
+    @cached_property
+    def values(self) -> ValueModels:
+        return self.state.values(self.predicted.effort)
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        return ring_starts(self.sweep.laser, self.sensor.n_lasers)
+
+    @cached_property
+    def rounded(self) -> Rounded:
+        """The returns on their way from the model to the file."""
+        sweep = self.sweep
+        model = unproject(self.sensor, sweep.laser, sweep.tick, sweep.count)
+        return rounded(model, sweep.millimetre, sweep.motion)
+
+    @cached_property
+    def listed(self) -> Sweep:
+        """The sweep as its message lists it: what lies in file order, a layer has in the order of its own points."""
+        if self.static is None or self.sweep.cloud is None:
+            return self.sweep
+        return alone(self.sweep, movable_mask(self.static, self.sweep, self.sensor))
+
+    @property
+    def topic(self) -> str:
+        return "" if self.sweep.cloud is None else self.sweep.cloud.topic
+
+    @cached_property
+    def strays(self) -> Plan:
+        """How the strays are coded."""
+        sweep = self.sweep
+        # Of points without a lattice, by their place in the list, which a movable layer's have not.
+        moved = sweep.motion if len(sweep.laser) == 0 and self.static is None else None
+        rings = None if sweep.cloud is None else self.listed.cloud.rings()  # type: ignore[union-attr]
+        told = rings is not None and rings.max(initial=0) <= 255
+        lanes = rings[self.listed.stray_index].astype(np.uint8) if told else None  # type: ignore[index]
+        times = None
+        if sweep.cloud is not None and len(sweep.laser) == 0 and self.state.timeless < _PATIENCE:
+            times = times_of(self.listed.cloud)  # type: ignore[arg-type]
+        found = plan(
+            sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
+            lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],
+            turning=self.state.turning.get(self.topic),
+            learned=self.state.lists.of_topic(self.topic) if self.state.learns else None,
+        )  # fmt: skip
+        if found.turning is not None:
+            self.state.turning[self.topic] = found.turning
+        if times is not None:
+            self.state.timeless = 0 if found.coded is not None else self.state.timeless + 1
+        return found
+
+    @cached_property
+    def logged(self) -> tuple[Scan, Points]:
+        """The message's scan, and what its fields are predicted from."""
+        return logged_scan.known_of(self.listed, self.sensor, self.strays.told)
+
+    @cached_property
+    def levels(self) -> NDArray[np.uint8] | None:
+        """Intensities in hundredths ``(M,)``, as the sensor's own models take them; None if they are not."""
+        return intensity_levels(self.sweep.intensity)
+
+    @property
+    def intensity_is_field(self) -> bool:
+        return logged_scan.intensity_is_field(self.sweep, self.levels)
+
+
+@dataclass
+class Decoding:
+    """One scan while it is decoded: what the header tells, and what the streams have told so far."""
+
+    header: Header
+    sensor: SensorModel
+    state: GopState
+    static: Sweep | None
+    sweep: Sweep
+    streams: dict[str, bytes]
+    starts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64))
+    hundredths: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))  # intensities
+    told: Timeline | None = None  # lasers and times of the points as their own stream tells them
+    field_of_intensity: bytes = b""  # the stream of intensities where the cloud tells how to read it
+
+    @cached_property
+    def values(self) -> ValueModels:
+        return self.state.known(self.header.effort, self.header.weights)
+
+    @cached_property
+    def before(self) -> WarpedSweep | None:
+        return self.state.warped(self.header.effort, self.sweep.motion)
+
+    @cached_property
+    def model(self) -> NDArray[np.float64]:
+        return unproject(self.sensor, self.sweep.laser, self.sweep.tick, self.sweep.count)
+
+    @property
+    def intensity_is_field(self) -> bool:
+        return bool(self.header.flags & CLOUD and self.header.flags & FLOAT_INTENSITY)
