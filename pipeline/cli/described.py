@@ -131,7 +131,7 @@ def _rows(title: str, rows: list[dict[str, Any]], names: list[str]) -> Table:
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in names:
         table.add_column("group" if name == "gop" else name, overflow="fold")
-    for name in ("points", "kept", "off lattice", "bytes", "bits a point"):
+    for name in ("points", "kept", "off rings", "bytes", "bits a point"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         cells = [str(row[name]) for name in names]

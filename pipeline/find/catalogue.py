@@ -53,7 +53,8 @@ CATALOGUE = pa.schema(
         *((f"bytes_{name}", pa.int64()) for name in STREAMS),
         ("bits", pa.float64()),  # per point of the source: far from its neighbours' it tells of a sick sensor
         *((f"bits_{name}", pa.float64()) for name in STREAMS),
-        # Health of the sensor, by laser: returns, and bits a return of its range (null for a laser without returns).
+        # Health of the sensor, by laser: returns, and bits a return of its range (null for a laser without returns). Null where
+        # nothing tells which laser a point is of; bits, where points lie in the order of a list.
         ("laser_returns", pa.list_(pa.int32())),
         ("laser_bits", pa.list_(pa.float32())),
         ("silent_lasers", pa.int32()),  # lasers without returns
@@ -145,22 +146,19 @@ def _lasers(metrics: pa.Table) -> dict[str, pa.Array]:
     """Bits a return by laser, and what stands out; the first and the last laser have but one beside them."""
     rows: list[dict[str, Any]] = []
     for row in metrics.select(["laser_returns", "laser_bits"]).to_pylist():
-        if row["laser_bits"] is None:
+        if row["laser_returns"] is None:
             rows.append({})
             continue
         returns = np.array(row["laser_returns"])
+        rows.append({"laser_returns": row["laser_returns"], "silent_lasers": int((returns == 0).sum())})
+        if row["laser_bits"] is None:
+            continue
         with np.errstate(invalid="ignore", divide="ignore"):
             bits = np.where(returns > 0, np.array(row["laser_bits"]) / returns, np.nan)
             beside = np.fmax(np.append(np.nan, bits[:-1]), np.append(bits[1:], np.nan))
         excess = (bits - beside)[np.isfinite(bits - beside)]
-        rows.append(
-            {
-                "laser_returns": row["laser_returns"],
-                "laser_bits": [None if np.isnan(b) else float(b) for b in bits],
-                "silent_lasers": int((returns == 0).sum()),
-                "laser_excess": float(excess.max()) if len(excess) else None,
-            }
-        )
+        rows[-1]["laser_bits"] = [None if np.isnan(b) else float(b) for b in bits]
+        rows[-1]["laser_excess"] = float(excess.max()) if len(excess) else None
     names = ("laser_returns", "laser_bits", "silent_lasers", "laser_excess")
     return {name: pa.array([row.get(name) for row in rows], CATALOGUE.field(name).type) for name in names}
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.grid import GridSweep
@@ -29,10 +30,10 @@ from salpcc.stages.residual_code.label_coder import encode_labels
 from salpcc.stages.residual_code.paper.grid_coder import encode_grid
 from salpcc.stages.residual_code.paper.grid_streams import GridState
 from salpcc.stages.residual_code.sensor.gop_state import GopState
-from salpcc.stages.residual_code.sensor.scan_coder import encode_scan
+from salpcc.stages.residual_code.sensor.scan_coder import encode_scan, points_off_lattice
 from salpcc.stages.residual_code.stream import Payload
 
-VERSION = 11
+VERSION = 12
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
@@ -105,16 +106,34 @@ def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator
     ):
         payload = encode_scan(sweep, sensor, predicted, state)
         if layer is None or guess is None:
-            yield sweep, payload, None, _of_lasers(sensor, (sweep, predicted))
+            yield sweep, payload, None, _of_lasers(sensor, (sweep, payload, predicted))
         else:
-            moving = layer, encode_scan(layer, sensor, guess, layer_state, sweep)
-            yield sweep, payload, moving, _of_lasers(sensor, (sweep, predicted), (layer, guess))
+            moving = encode_scan(layer, sensor, guess, layer_state, sweep)
+            known = _of_lasers(sensor, (sweep, payload, predicted), (layer, moving, guess))
+            yield sweep, payload, (layer, moving), known
 
 
-def _of_lasers(sensor: SensorModel, *layers: tuple[Sweep, Prediction]) -> dict[str, Any]:
-    returns = sum(np.diff(ring_starts(sweep.laser, sensor.n_lasers)) for sweep, _ in layers)
-    bits = sum(laser_bits(sweep, predicted, sensor.n_lasers) for sweep, predicted in layers)
-    return {"laser_returns": np.asarray(returns, np.int32), "laser_bits": np.asarray(bits, np.float32)}
+def _of_lasers(sensor: SensorModel, *layers: tuple[Sweep, Payload, Prediction]) -> dict[str, Any]:
+    """What is known of a scan's lasers: nothing of points that are on no lattice, or of which nobody tells the laser."""
+    if any(len(sweep.laser) for sweep, _, _ in layers):
+        returns = sum(np.diff(ring_starts(sweep.laser, sensor.n_lasers)) for sweep, _, _ in layers)
+        bits = sum(laser_bits(sweep, predicted, sensor.n_lasers) for sweep, _, predicted in layers)
+        return {"laser_returns": np.asarray(returns, np.int32), "laser_bits": np.asarray(bits, np.float32)}
+    off = sum(points_off_lattice(payload.data) for _, payload, _ in layers)
+    told = [_told_returns(sweep, sensor.n_lasers) for sweep, _, _ in layers if len(sweep)]
+    if not told or 2 * off > sum(len(sweep) for sweep, _, _ in layers) or any(n is None for n in told):
+        return {}
+    return {"laser_returns": np.sum(told, axis=0, dtype=np.int32)}
+
+
+def _told_returns(sweep: Sweep, n_lasers: int) -> NDArray[np.int64] | None:
+    """Points ``(n_lasers,)`` by the rings that a recorded message tells, placeholders left out; None without such rings."""
+    rings = None if sweep.cloud is None else sweep.cloud.rings()
+    if rings is None or rings.max(initial=0) >= n_lasers:
+        return None
+    places = sweep.stray_points[:, :3]
+    returned = np.isfinite(places).all(axis=1) & places.any(axis=1)
+    return np.bincount(rings[returned], minlength=n_lasers)
 
 
 def _grids(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
