@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[1]
 # From the ground up. A room may import from itself and from those before it.
 ROOMS = (
     "schemas",
+    "stages.memory",
     "stages.entropy",
     "stages.lattice",
     "stages.strays",

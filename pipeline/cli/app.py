@@ -22,6 +22,7 @@ from salpcc.pipeline.cli import train_networks as cli_train
 from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.errors import LogWarning, SalpccError, UsageError
 from salpcc.schemas.files import unreachable, why
+from salpcc.stages.memory import keep_memory
 
 _INTERRUPTED = 130  # typer's exit code for Ctrl-C
 # A file or folder that cannot be what it was named for is wrong use; a disk that fails is not.
@@ -86,6 +87,7 @@ def _root(
 
 def main() -> None:
     """Run the command line (entry point of ``salpcc-pipeline``)."""
+    keep_memory()
     try:
         with _notes():
             app()

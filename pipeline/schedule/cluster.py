@@ -17,18 +17,16 @@ from tornado.ioloop import PeriodicCallback
 from salpcc.pipeline.schedule.machine import cores
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.version import TOOL
+from salpcc.stages.memory import keep_memory
 
 _LOOK_EVERY = 1000.0  # milliseconds
 
-# One thread a worker, so that workers scale. Arrays below 16 MB come from memory that is kept, up to 64 MB of it:
-# asked of the system one by one, as with Dask's settings, their pages cost as much time as the network that fills them.
+# One thread a worker, so that workers scale. Dask would have freed memory given back at once.
 _WORKER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
-    "MALLOC_MMAP_THRESHOLD_": "16777216",
-    "MALLOC_TRIM_THRESHOLD_": "67108864",
 }
 
 
@@ -119,6 +117,7 @@ def _refill(count: int, cluster: LocalCluster) -> None:
 def dask_setup(_: Worker) -> None:
     """Leave Ctrl-C to the run, which ends its workers; a local worker calls this when it starts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_memory()
 
 
 def _same_tool(client: Client, scheduler: str) -> None:

@@ -1,6 +1,7 @@
 """Race our codec against Draco and LASzip on the same scans: ``python -m salpcc.stages.evaluate.bench``.
 
-Codecs take turns (A B A B …), so that a machine that slows down slows all of them, and CPU time is counted.
+Codecs take turns (A B A B …), so that a machine that slows down slows all of them, and CPU time is counted. Freed memory
+stays with the process, as in a run's workers; all codecs have that.
 Ours codes a group of consecutive scans, as a run does; the others know single scans only. A first round
 warms everything up and is thrown away. ``--profile-stages`` shows where the time of ours goes, file by file.
 """
@@ -31,6 +32,7 @@ from salpcc.stages.evaluate.profile import profile
 from salpcc.stages.evaluate.report.machine import describe_machine
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.simulated import Simulated
+from salpcc.stages.memory import keep_memory
 
 RIVALS = ("draco", "draco_sequential", "laszip")
 REFERENCE = "draco"
@@ -66,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--profile-stages", action="store_true", help="show which files the time goes to")
     parser.add_argument("--json", type=Path, help="write the figures there, too")
     asked = parser.parse_args(arguments)
+    keep_memory()
     errors = [float(value) for value in asked.errors.split(",")]
     try:
         scans = _scans(asked.root, asked.sequence, asked.scans)
