@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,13 @@ class Originals:
             raise SourceError(f"scan {scan.name}: not in {self.root}")
         source = self._files.read(ref, with_labels=self._config.get("labels") == "given")
         return replace(source, labels=labels_that_fit(ref, len(source))), ref.path
+
+    def absent(self, held: Collection[str]) -> tuple[list[str], list[str]]:
+        """Say which scans of files an archive of the scans ``held`` (by name) lacks: between its first and last, and outside."""
+        numbers = [ref.number for name, ref in self.refs.items() if name in held]
+        lacking = [(name, ref.number) for name, ref in self.refs.items() if name not in held]
+        gaps = [name for name, number in lacking if numbers and numbers[0] < number < numbers[-1]]
+        return gaps, [name for name, _ in lacking if name not in gaps]
 
     def errors(self, scan: Scan) -> NDArray[np.float64]:
         """Return how far each point of a decoded scan, or of one of its layers, is from its source: ``(N,)`` metres.

@@ -34,6 +34,7 @@ class Verdict:
     asked_max_error_m: float | None = None
     bit_exact_scans: int = 0
     points_dropped: int = 0
+    scans_elsewhere: list[str] = field(default_factory=list)  # of the source, and not of the archive
     movable: str = ""
     layers: dict[str, dict[str, int]] | None = None
     labelled_scans: int = 0
@@ -96,11 +97,24 @@ def verify(
         except (ArchiveError, ValueError) as error:
             verdict.problems.append(str(error))
     verdict.problems += _side_problems(reader, source)
+    if source is not None and not reader.log:
+        _note_absent(reader, source, verdict)
     if source is not None and reader.log:
         passed, problems = compare_log(reader, source.root, coded, whole=not facts.config.get("frames"))
         verdict.passed_messages = passed
         verdict.problems += problems
     return verdict
+
+
+def _note_absent(reader: ArchiveReader, source: Originals, verdict: Verdict) -> None:
+    """Note which scans of the source the archive lacks. A run takes all from one frame to another: a gap is what failed there.
+
+    What lies outside may have been recorded later, or is not of the run's ``--frames``; and parts of archives have gaps.
+    """
+    gaps, outside = source.absent({entry.name for gop in reader.entries for entry in gop})
+    if reader.facts.inputs:  # of a run
+        verdict.problems += [f"scan {name}: not in the archive, but in {source.root}" for name in gaps]
+    verdict.scans_elsewhere = sorted([*gaps, *outside])
 
 
 def _side_problems(reader: ArchiveReader, source: Originals | None) -> list[str]:

@@ -167,11 +167,14 @@ def verify(
 
 def _compared(verdict: dict[str, Any]) -> str:
     error, passed = verdict["max_error_m"], verdict["passed_messages"]
+    elsewhere = verdict["scans_elsewhere"]
+    which = f"{elsewhere[0]} to {elsewhere[-1]}" if len(elsewhere) > 1 else "".join(elsewhere)
     return (
         f"against {verdict['against']}: {verdict['bit_exact_scans']:,} scans bit-exact, "
         f"{verdict['points_dropped']:,} points dropped"
         + (f", largest error {1e3 * error:.2f} mm" if error else "")
         + (f", {passed:,} messages of other topics unchanged" if passed is not None else "")
+        + (f"; not in the archive: {len(elsewhere):,} of its scans, {which}" if elsewhere else "")
     )
 
 

@@ -143,7 +143,8 @@ def test_failed_scans_cost_themselves_only(
     listed = json.loads((tmp_path / "out/report/report.json").read_text())["errors"]
     assert "000001.bin: truncated" in json.dumps(listed)
     verdict = verify(tmp_path / "out" / "archives" / "00.mcap", toy_root)
-    assert verdict.good and verdict.bit_exact_scans == 3
+    assert verdict.problems == [f"scan 000001: not in the archive, but in {toy_root}"]
+    assert verdict.bit_exact_scans == 3 and verdict.scans_elsewhere == ["000001", "000004"]
 
 
 def test_mended_scans_are_done_when_they_are_there(
@@ -177,7 +178,7 @@ def test_a_scan_that_breaks_a_stage_costs_itself_and_is_tried_again(
     assert [(e.scan, e.stage) for e in result.errors] == [("000002", stage)]
     assert "odd plane" in result.errors[0].reason
     verdict = verify(tmp_path / "archives" / "00.mcap", toy_root)
-    assert verdict.good and verdict.bit_exact_scans == 4
+    assert verdict.scans_elsewhere == ["000002"] and verdict.bit_exact_scans == 4
     assert not run(toy_root, tmp_path, "00", graph=graph).failed
     assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
 

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from salpcc.pipeline import encode_scans
+from salpcc.pipeline.edit.cut import Selection, cut
+from salpcc.pipeline.edit.merge import merge
 from salpcc.pipeline.verify import verify
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
@@ -68,6 +70,16 @@ def test_missing_source_scan_is_found(done: Path, root: Path) -> None:
     (root / "sequences/00/velodyne/000002.bin").unlink()
     verdict = verify(done / "archives" / "00.mcap", root)
     assert verdict.problems == [f"scan 000002: not in {root}"]
+
+
+def test_scans_that_an_archive_lacks_are_said(done: Path, root: Path, tmp_path: Path) -> None:
+    """Whoever reads "ok" may delete the source. A part of an archive is sound, so this is no problem of it."""
+    parts = [tmp_path / "0.mcap", tmp_path / "2.mcap"]
+    for part in parts:
+        cut(done / "archives" / "00.mcap", part, Selection(frames=(int(part.stem), int(part.stem) + 1)))
+    merge(parts, tmp_path / "gap.mcap")
+    verdict = verify(tmp_path / "gap.mcap", root)
+    assert verdict.good and verdict.scans_elsewhere == ["000001", "000003", "000004"]
 
 
 def test_missing_root_and_arrays_are_wrong_use(done: Path, tmp_path: Path) -> None:

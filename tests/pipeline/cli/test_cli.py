@@ -300,13 +300,15 @@ def test_verify_says_what_it_compared() -> None:
     result = cli("verify", Path(__file__).parents[2] / "golden" / "fast_exact.mcap")
     assert result.returncode == 0
     assert "; every checksum holds (--against compares with the source)" in result.stdout
-    told = {"against": "ROOT", "bit_exact_scans": 1200, "points_dropped": 34_567}
+    told = {"against": "ROOT", "bit_exact_scans": 1200, "points_dropped": 34_567, "scans_elsewhere": []}
     assert _compared(told | {"max_error_m": 0.0197, "passed_messages": 1234}) == (
         "against ROOT: 1,200 scans bit-exact, 34,567 points dropped, largest error 19.70 mm, "
         "1,234 messages of other topics unchanged"
     )
     exact = _compared(told | {"max_error_m": 0.0, "passed_messages": None})
     assert exact.endswith("points dropped")
+    less = told | {"max_error_m": 0.0, "passed_messages": None, "scans_elsewhere": ["000007", "000009"]}
+    assert _compared(less).endswith("; not in the archive: 2 of its scans, 000007 to 000009")
 
 
 def test_help_begins_with_the_main_job() -> None:
