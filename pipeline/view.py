@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import socket
@@ -25,7 +26,7 @@ from salpcc.pipeline.decode import Layers
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.pipeline.held_poses import held_poses
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.files import read_at
+from salpcc.schemas.files import atomic_file, read_at
 from salpcc.schemas.labels import CLASSES, classes_of_labels
 from salpcc.schemas.messages import COMPRESSED
 from salpcc.schemas.scan import Scan
@@ -36,6 +37,7 @@ from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 F64 = NDArray[np.float64]
 Colours = NDArray[np.uint8]
+_FOOTER = 64  # bytes at the end of a recording, in which Rerun marks that it is whole
 _NONE: Mapping[str, F64] = MappingProxyType({})
 
 _MOST_SECONDS = 10**8  # of a clock that counts from the start of a log; larger ones count from 1970
@@ -212,20 +214,40 @@ def view(
     palette = Palette()
     first = next(scans)
     blueprint = _blueprint({name: palette.title(name) for name in palette.of(*first)})
-    rr.init(f"salpcc {path.stem}", spawn=save is None, default_blueprint=blueprint)
-    if save is not None:
-        save.parent.mkdir(parents=True, exist_ok=True)
-        save.open("wb").close()  # Rerun's own error says nothing of where
-        rr.save(save, default_blueprint=blueprint)
-    rr.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     drive = Drive(_NONE if reader is None else held_poses(reader))
-    for scan, errors in chain([first], scans):
-        _log(rr, scan, errors, drive, palette)
-    paths = [np.array(path) for path in drive.paths if len(path) > 1]
-    rr.log("path", rr.LineStrips3D(paths, colors=[_PATH] * len(paths), radii=0.08), static=True)
-    if save is not None:
-        rr.disconnect()  # writes what is still on its way to the file, and closes it
+    rr.init(f"salpcc {path.stem}", spawn=save is None, default_blueprint=blueprint)
+    with _recording(rr, save, blueprint):
+        rr.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for scan, errors in chain([first], scans):
+            _log(rr, scan, errors, drive, palette)
+        paths = [np.array(path) for path in drive.paths if len(path) > 1]
+        rr.log("path", rr.LineStrips3D(paths, colors=[_PATH] * len(paths), radii=0.08), static=True)
     return drive.scans
+
+
+@contextmanager
+def _recording(rr: Any, save: Path | None, blueprint: Any) -> Iterator[None]:
+    """Have what is logged written to a file, where one is named, that appears when it is whole.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    if save is None:
+        yield
+        return
+    with atomic_file(save) as part:
+        part.open("wb").close()  # Rerun's own error says nothing of where
+        try:
+            rr.save(part, default_blueprint=blueprint)
+            yield
+        except RuntimeError as error:
+            raise OSError(errno.EIO, str(error)) from error
+        finally:
+            rr.disconnect()  # writes what is still on its way to the file, and closes it
+        with part.open("rb") as file:
+            file.seek(-min(_FOOTER, part.stat().st_size), os.SEEK_END)
+            if b"FOOT" not in file.read():  # a full disk, which Rerun does not raise
+                raise OSError(errno.EIO, "Rerun could not write all of it; is there room?")
 
 
 def view_in_browser(

@@ -1,8 +1,9 @@
-"""What the LAZ files of decoded scans and of maps have in common: the unit of intensity, and a text that states it."""
+"""What the LAZ files of decoded scans and of maps have in common: how they are written, the unit of intensity, a text that states it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import scan_columns
 
 if TYPE_CHECKING:
+    from laspy import LasData
     from laspy.vlrs.vlr import VLR
 
 FULL = 65535  # the largest intensity that LAS holds, and the factor of fractions of 1
@@ -58,6 +60,13 @@ def las_intensity(values: NDArray[np.generic], factor: int) -> tuple[NDArray[np.
         wide = values.astype(np.float64) * factor
     whole = np.rint(np.nan_to_num(np.clip(wide, 0, FULL))).astype(np.uint16)
     return whole, int(np.count_nonzero(~((wide >= 0) & (wide <= FULL))))
+
+
+def laz_of(las: LasData) -> bytes:
+    """Return the file; whoever writes it names it when the disk is full, which lazrs does not."""
+    file = BytesIO()
+    las.write(file, do_compress=True)
+    return file.getvalue()
 
 
 def text_record(*lines: str) -> VLR:

@@ -18,6 +18,7 @@ from salpcc.pipeline.export.las import (
     intensity_factors,
     intensity_text,
     las_intensity,
+    laz_of,
     text_record,
     topic_of,
 )
@@ -64,7 +65,7 @@ def to_laz(
         wrong, left_out = wrong + file.wrong, left_out + file.left_out
         path = out / archive.sequence / f"{scan.name}.laz"
         with atomic(path) as stream:
-            file.las.write(stream, do_compress=True)
+            stream.write(laz_of(file.las))
         yield path
     if wrong:
         tell(

@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from salpcc.pipeline.export.copc import copc_of
-from salpcc.pipeline.export.las import coordinate_system, intensity_text, las_intensity, text_record
+from salpcc.pipeline.export.las import coordinate_system, intensity_text, las_intensity, laz_of, text_record
 from salpcc.pipeline.export.ply import write_ply
 from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.schemas.files import atomic
@@ -59,7 +59,7 @@ def with_columns(
     """Write LAZ as :func:`to_laz` does, with more extra dimensions ``(M,)`` by name, and texts that say what they are."""
     las = _las(voxels, corner, frame, columns, *texts)
     with atomic(path) as stream:
-        las.write(stream, do_compress=True)
+        stream.write(laz_of(las))
 
 
 def _las(

@@ -131,6 +131,15 @@ def test_a_recording_is_written(archive: Path, tmp_path: Path) -> None:
     assert "/path" in printed
 
 
+@pytest.mark.usefixtures("little_room")
+def test_a_recording_that_finds_no_room_is_none(archive: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    (tmp_path / "a.rrd").write_bytes(b"of before")
+    with pytest.raises(OSError, match=r"a\.rrd"):
+        view(archive, save=tmp_path / "a.rrd")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
+
+
 def test_view_on_the_command_line(archive: Path, tmp_path: Path) -> None:
     pytest.importorskip("rerun")
 

@@ -197,3 +197,14 @@ def test_kitti_tells_what_its_files_have_no_place_for(tmp_path: Path) -> None:
         "times.txt is left out: the names of these scans are no frame numbers",
         "KITTI's files hold x, y, z, intensity: ring stay behind; --to ply has them",
     ]
+
+
+@pytest.mark.parametrize("form", sorted(EXPORTS.keys() - {"bag"}))
+def test_a_full_disk_is_told_with_the_file(
+    form: str, archive: Archive, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    scans = list(archive)
+    request.getfixturevalue("little_room")
+    with pytest.raises(OSError, match=f"File too large: '{tmp_path}"):
+        list(EXPORTS[form](archive, iter(scans), tmp_path))
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
