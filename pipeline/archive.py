@@ -163,6 +163,16 @@ class Archive(Sequence[Scan]):
         return self._reader.passing()
 
     @property
+    def passing_topics(self) -> list[str]:
+        """Topics of these messages, sorted."""
+        return self._reader.passing_topics
+
+    @property
+    def has_classes(self) -> bool:
+        """Tell whether points have classes, or labels as annotated."""
+        return self._reader.has_classes or self._reader.has_labels
+
+    @property
     def side(self) -> list[str]:
         """Names of the side files that it holds, such as ``poses.txt``."""
         return list(self._reader.side)

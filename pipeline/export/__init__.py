@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.export.beside import tell_what_stays
 from salpcc.pipeline.export.kitti import to_kitti
 from salpcc.pipeline.export.laz import to_laz
 from salpcc.pipeline.export.log import to_bag, to_mcap
@@ -44,6 +45,7 @@ def to_ply(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
             columns[free_name("label", set(columns)) if "label" in columns else "label"] = scan.labels
         write_ply(columns, path)
         yield path
+    tell_what_stays(archive, "ply", tell)
 
 
 EXPORTS: dict[str, Export] = {

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.export.beside import tell_what_stays
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.pipeline.files.kitti_files import label_bytes, scan_bytes, times_bytes
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.point_cloud import coordinate_rounding, scan_columns
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
 
 
@@ -27,9 +31,12 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
     columns = archive.config.get("columns", 4)
     times: dict[str, int] = {}
     behind: set[str] = set()
+    rounded: dict[str, float] = {}
     for scan in scans:
         if scan.cloud is not None and columns == 4:
             behind |= {field.name for field in scan.cloud.layout.fields} - {"x", "y", "z", "intensity"}
+        for what, by in _rounding(scan).items() if columns == 4 else ():
+            rounded[what] = max(by, rounded.get(what, 0.0))
         path = folder / "velodyne" / f"{scan.name}.bin"
         _write_new(path, scan_bytes(scan, columns), "points are")
         name = f"labels/{scan.name}.label"  # a side file where it fitted no points
@@ -47,6 +54,21 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         tell(
             f"KITTI's files hold x, y, z, intensity: {', '.join(sorted(behind))} stay behind; --to ply has them"
         )
+    for what, by in rounded.items():
+        tell(f"KITTI's files hold float32: {what} are rounded by up to {by:.3g}; --to ply has them")
+    tell_what_stays(archive, "kitti", tell)
+
+
+def _rounding(scan: Scan) -> dict[str, float]:
+    """By how much float32 differs from what was recorded with another type: coordinates in metres, intensities."""
+    found = {"coordinates": coordinate_rounding(scan)}
+    layout = scan.cloud and scan.cloud.layout
+    if layout and layout.intensity is not None and layout.slots[3] is None:
+        wide = scan_columns(scan)["intensity"].astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            off = np.abs(wide - scan.intensity)
+        found["intensities"] = float(off[np.isfinite(wide)].max(initial=0.0))
+    return {what: by for what, by in found.items() if by}
 
 
 def _write_new(path: Path, data: bytes, what: str) -> None:

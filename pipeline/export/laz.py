@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.export.beside import tell_what_stays
 from salpcc.pipeline.export.gps_time import adjusted_gps_time, is_calendar_time
 from salpcc.pipeline.export.las import (
     coordinate_system,
@@ -73,6 +74,7 @@ def to_laz(
         )
     if left_out:
         tell(f"{left_out} points are left out: LAS holds no NaN, and nothing far from all the others")
+    tell_what_stays(archive, "laz", tell)
 
 
 @dataclass(frozen=True)

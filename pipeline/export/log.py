@@ -18,6 +18,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.export.beside import tell_what_stays
 from salpcc.pipeline.export.ros2 import ros2_channel
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.schemas.errors import UsageError
@@ -83,6 +84,7 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_
         writer.finish()
     for channel, count in odd.items():
         tell(f"{channel.topic}: {count} messages are no {channel.type}; they stay as they are, ROS 1's")
+    tell_what_stays(archive, "mcap", tell)
     with atomic(path.with_name("metadata.yaml")) as stream:
         stream.write(_metadata(path.name, counts, min(first, last), min(last, _LATEST)).encode())
     yield path
@@ -126,6 +128,7 @@ def to_bag(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
             )
         for channel, message in messages(archive, scans):
             writer.write(connections[channel], message.log_time, message.data)
+    tell_what_stays(archive, "bag", tell)
     yield path
 
 

@@ -268,6 +268,24 @@ def enclosed(path: Path) -> list[object]:
         return [*reader.iter_attachments(), *reader.iter_metadata()]
 
 
+@pytest.mark.parametrize(("name", "log"), [("bare", "mcap"), ("ros1", "bag")])
+@pytest.mark.parametrize("form", ["kitti", "ply", "laz"])
+def test_files_of_points_say_what_of_a_log_they_leave(
+    coded: Path, tmp_path: Path, name: str, log: str, form: str
+) -> None:
+    told: list[str] = []
+    archive = Archive.open(coded / "archives" / f"{name}.mcap")
+    list(EXPORTS[form](archive, iter(archive), tmp_path, told.append))
+    topics = "/notes, /texts" if name == "bare" else "/texts"
+    assert f"messages of {topics} stay behind: --to {form} has no place for them, --to {log} has" in told
+    enclosed = (
+        f"attachments and metadata of the log stay behind: --to {form} has no place for them, --to mcap has"
+    )
+    assert (enclosed in told) == (name == "bare")
+    rounded = [line for line in told if "float32: coordinates are rounded by up to 0.2" in line]
+    assert len(rounded) == (form == "kitti")  # of the clouds in float64; intensities of 8 bits are none
+
+
 def test_attachments_and_metadata_come_back(logs: Path, coded: Path, tmp_path: Path) -> None:
     archive = Archive.open(coded / "archives" / "bare.mcap")
     (path,) = EXPORTS["mcap"](archive, iter(archive), tmp_path)

@@ -173,6 +173,12 @@ class ArchiveReader:
         except PARSE_ERRORS as error:
             raise ArchiveError(f"{self.path}: {error}") from error
 
+    @property
+    def passing_topics(self) -> list[str]:
+        """Topics of the messages that passed through, sorted; no message is read."""
+        numbers = {number for chunk in self._index.passing for number in chunk.message_index_offsets}
+        return sorted({self.log[number - 1].topic for number in numbers})
+
     def passing(self) -> Iterator[LogMessage]:
         """Yield the messages that passed through, in the order of the file.
 

@@ -187,6 +187,29 @@ def test_times_of_a_log_keep_their_nanoseconds(tmp_path: Path) -> None:
         assert [ref.time for ref in SOURCES["semantickitti"].scans(tmp_path, names[0])] == times
 
 
+def test_messages_tell_that_files_and_classes_stay(done: Path, tmp_path: Path) -> None:
+    told: list[str] = []
+    archive = Archive.open(done / "archives" / "01.mcap")
+    list(EXPORTS["mcap"](archive, iter(archive), tmp_path, told.append))
+    assert [line.partition(" stay")[0] for line in told] == [", ".join(archive.side), "classes and labels"]
+    assert "--to kitti has" in told[0] and "--to ply has" in told[1]
+    told.clear()
+    list(EXPORTS["kitti"](archive, iter(archive), tmp_path, told.append))
+    assert not told
+
+
+def test_kitti_tells_how_far_it_rounds(tmp_path: Path) -> None:
+    rows = np.zeros(9, [("x", "f8"), ("y", "f4"), ("z", "f8"), ("intensity", "u4")])
+    rows["x"][3], rows["z"][4], rows["intensity"][5] = 1 + 2.0**-30, np.nan, 2**24 + 1
+    archive = Archive.open(encode_scans([cloud_of(rows)], tmp_path / "a.mcap", effort="fast"))
+    told: list[str] = []
+    list(EXPORTS["kitti"](archive, iter(archive), tmp_path, told.append))
+    assert [line for line in told if "rounded" in line] == [
+        "KITTI's files hold float32: coordinates are rounded by up to 9.31e-10; --to ply has them",
+        "KITTI's files hold float32: intensities are rounded by up to 1; --to ply has them",
+    ]
+
+
 def test_kitti_tells_what_its_files_have_no_place_for(tmp_path: Path) -> None:
     rows = np.zeros(20, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2")])
     scan = replace(cloud_of(rows), name="1533151603547590123")
