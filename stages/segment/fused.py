@@ -41,13 +41,12 @@ class FusedNetwork(nn.Module):
         self.config = network.config
         self.device = device
         blocks: Any = copy.deepcopy(network).eval().requires_grad_(False)
-        self.modalities = nn.ModuleList(_Residual(block, self.config.fold) for block in blocks.modalities)
-        self.fusion = nn.Sequential(*map(_conv, blocks.fusion))
+        self.fusion = Fusion(blocks)
         self.encoders = nn.ModuleList(nn.Sequential(*map(_Filter, level)) for level in blocks.encoders)
-        self.lifts = nn.ModuleList(_Convolution(lift.weight, None) for lift in blocks.lifts)
+        self.lifts = nn.ModuleList(Convolution(lift.weight, None) for lift in blocks.lifts)
         self.decoders = nn.ModuleList(map(_Filter, blocks.decoders))
         by_column = torch.arange(N_CLASSES * self.config.fold).reshape(N_CLASSES, -1).T.ravel()
-        self.head = _Convolution(blocks.head.weight[by_column], blocks.head.bias[by_column])
+        self.head = Convolution(blocks.head.weight[by_column], blocks.head.bias[by_column])
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.points = blocks.points
         for half in (self.points.encoders, self.points.decoders):
@@ -64,25 +63,11 @@ class FusedNetwork(nn.Module):
     def forward(self, features: Tensor, sets: PointTensors) -> Tensor:
         """Map features ``(1, 19, H, W)`` and point sets of a whole turn to logits ``(H, W, 19)`` float32."""
         fold, side = self.config.fold, SEAM // self.config.fold
-        _, channels, height, width = features.shape
-        rows = features[0].permute(1, 2, 0).reshape(height, width // fold, fold, channels)
-        rows = torch.cat([rows[:, -side:], rows, rows[:, :side]], 1)
-        images = [
-            block(part.reshape(1, height, -1, part.shape[-1] * fold).permute(0, 3, 1, 2))
-            for block, part in zip(
-                self.modalities, rows.split([DEPTH, COORDINATES, INTENSITY], 3), strict=True
-            )
-        ]
-        cloud = functional.embedding_bag(
-            sets.pixel_parents[0],
-            self.points.first_level(sets)[0],
-            per_sample_weights=sets.pixel_weights[0],
-            mode="sum",
+        _, _, height, width = features.shape
+        cloud = self.points.first_level(sets)[0]
+        fused = self.fusion(
+            features[0].permute(1, 2, 0), cloud, sets.pixel_parents[0], sets.pixel_weights[0], fold
         )
-        cloud = cloud.reshape(1, height, width // fold, -1)
-        cloud = torch.cat([cloud[:, :, -side:], cloud, cloud[:, :, :side]], 2)
-        fused = self.fusion(join([*images, cloud.permute(0, 3, 1, 2)]))
-
         skips: list[Tensor] = []
         level = fused
         for encoder in self.encoders:
@@ -95,7 +80,39 @@ class FusedNetwork(nn.Module):
         return logits[0, :, side:-side].reshape(height, width, N_CLASSES).contiguous()
 
 
-class _Convolution(nn.Module):
+class Fusion(nn.Module):
+    """The images of the modalities and what the points say, joined: eq. (9). Computes in the type of its weights."""
+
+    def __init__(self, blocks: Any) -> None:
+        super().__init__()
+        fold = blocks.config.fold
+        self.modalities = nn.ModuleList(_Residual(block, fold) for block in blocks.modalities)
+        self.layers = nn.Sequential(*map(_conv, blocks.fusion))
+
+    def forward(self, features: Tensor, cloud: Tensor, parents: Tensor, weights: Tensor, fold: int) -> Tensor:
+        """Return an image ``(1, C, H, W / fold)`` whose columns are repeated at both ends.
+
+        Args:
+            features: ``(H, W, 19)`` of the pixels of a whole turn.
+            cloud: ``(M, C)``, what the points of the first level say; ``parents`` and ``weights`` ``(H W / fold, 3)`` mix them.
+        """
+        height, width, channels = features.shape
+        first: Any = self.layers[0]
+        dtype, side = first.weight.dtype, SEAM // fold
+        rows = _round(features.to(dtype).reshape(height, width // fold, fold, channels), side)
+        images = [
+            block(part.reshape(1, height, -1, part.shape[-1] * fold).permute(0, 3, 1, 2))
+            for block, part in zip(
+                self.modalities, rows.split([DEPTH, COORDINATES, INTENSITY], 3), strict=True
+            )
+        ]
+        mixed = functional.embedding_bag(parents, cloud, per_sample_weights=weights, mode="sum").to(dtype)
+        images.append(_round(mixed.reshape(height, width // fold, -1), side)[None].permute(0, 3, 1, 2))
+        fused: Tensor = self.layers(join(images))
+        return fused
+
+
+class Convolution(nn.Module):
     """A convolution; one of a single pixel is a product of matrices, which a CPU does faster."""
 
     def __init__(self, weight: Tensor, bias: Tensor | None, relu: bool = False) -> None:
@@ -126,14 +143,14 @@ class _Residual(nn.Module):
         norm, out = block.norm[0], block.out[0]
         weight, bias = normed(centred([conv.weight[:, by_column] for conv in block.parallel]), norm)
         near = sum(len(conv.weight) for conv in block.parallel if conv.weight.shape[-1] <= 3)
-        self.near = _Convolution(weight[:near, :, 2:-2, 2:-2], bias[:near], relu=True)
-        self.far = _Convolution(weight[near:], bias[near:], relu=True)
+        self.near = Convolution(weight[:near, :, 2:-2, 2:-2], bias[:near], relu=True)
+        self.far = Convolution(weight[near:], bias[near:], relu=True)
         self.dense = nn.ModuleList(map(_conv, block.dense))
         layered = block.last.weight.shape[1]
         both = torch.cat([block.last.weight, block.shortcut.weight[:, by_column]], 1)
         weight, bias = normed(both, out)
-        self.last = _Convolution(weight[:, :layered], bias)
-        self.shortcut = _Convolution(weight[:, layered:], None)
+        self.last = Convolution(weight[:, :layered], bias)
+        self.shortcut = Convolution(weight[:, layered:], None)
 
     def forward(self, image: Tensor) -> Tensor:
         """Map ``(1, inputs, H, W)`` to ``(1, width, H, W)``."""
@@ -149,7 +166,7 @@ class _Filter(nn.Module):
     def __init__(self, block: Any) -> None:
         super().__init__()
         weight = centred([block.point.weight, block.around.weight])
-        self.both = _Convolution(*normed(weight, block.norm))
+        self.both = Convolution(*normed(weight, block.norm))
         self.residual = block.residual
 
     def forward(self, image: Tensor) -> Tensor:
@@ -177,10 +194,10 @@ class _Rows(nn.Module):
         return rows
 
 
-def _conv(block: Any) -> _Convolution:
+def _conv(block: Any) -> Convolution:
     """:class:`~salpcc.stages.segment.blocks.Conv`."""
     conv, norm, _ = block
-    return _Convolution(*normed(conv.weight, norm), relu=True)
+    return Convolution(*normed(conv.weight, norm), relu=True)
 
 
 def normed(weight: Tensor, norm: nn.BatchNorm1d | nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
@@ -194,6 +211,11 @@ def centred(kernels: Sequence[Tensor]) -> Tensor:
     """Join odd kernels ``(outputs, inputs, k, k)`` over the outputs, each in the middle of the largest."""
     side = max(kernel.shape[-1] for kernel in kernels)
     return torch.cat([functional.pad(kernel, [(side - kernel.shape[-1]) // 2] * 4) for kernel in kernels])
+
+
+def _round(rows: Tensor, side: int) -> Tensor:
+    """Repeat ``side`` columns of ``(H, W, ...)`` at both ends."""
+    return torch.cat([rows[:, -side:], rows, rows[:, :side]], 1)
 
 
 def join(images: Sequence[Tensor]) -> Tensor:

@@ -8,7 +8,7 @@ from salpcc.stages.segment.fused import FusedNetwork
 from salpcc.stages.segment.inputs import network_input, stack
 from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork
 from salpcc.stages.segment.quantised import QuantisedNetwork, _Bytes, _Spread, _Sums, for_labelling
-from salpcc.stages.segment.range_image import project
+from salpcc.stages.segment.range_image import INTENSITY, project
 
 SMALL = NetworkConfig("folded", 4, 16, 8, 2, (8, 8, 8), 64, 16, (16, 24, 32), 2)
 
@@ -50,6 +50,25 @@ def test_it_says_what_the_trained_one_says(seen) -> None:
 
 
 @needs_vnni
+@pytest.mark.parametrize("kind", ["avx512_bf16", ""])
+def test_the_levels_see_what_shines(seen, monkeypatch, kind: str) -> None:
+    """Batch norms know dull surfaces; a bright one, far above what they lead to expect, is not cut off on its way."""
+    network, planes = seen
+    planes[INTENSITY, :, 64:96] *= 8
+    able = torch.cpu.get_capabilities() | {"avx512_bf16": bool(kind), "amx_bf16": False}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: able)
+    features, sets = stack([network_input(planes, SMALL.fold, SMALL.n_points, circular=True)])
+    fused, quantised = FusedNetwork(network), QuantisedNetwork(network)
+    shown = features[0].permute(1, 2, 0), fused.points.first_level(sets)[0]
+    shown += sets.pixel_parents[0], sets.pixel_weights[0], SMALL.fold
+    with torch.inference_mode():
+        wanted, found = fused.fusion(*shown), quantised.fusion(*shown).float()
+    steps = wanted.sum((0, 2, 3)) / found.sum((0, 2, 3))
+    off = (found * steps[:, None, None] - wanted).abs().amax((0, 2, 3))
+    assert (off < 0.05 * wanted.amax((0, 2, 3))).all()
+
+
+@needs_vnni
 @pytest.mark.parametrize("side", [1, 3])
 @pytest.mark.parametrize("zero", [0, 96])
 def test_sums_of_bytes(side: int, zero: int) -> None:
@@ -60,17 +79,18 @@ def test_sums_of_bytes(side: int, zero: int) -> None:
         memory_format=torch.channels_last
     )
     step = torch.rand(channels) * 0.1 + 0.01
-    source = _Bytes(step, torch.full((channels,), float(zero)), (image.float() - zero).mean((0, 2, 3)) * step)
+    source = _Bytes(step, (image.float() - zero).mean((0, 2, 3)) * step, zero)
     numbers = (image.float() - zero) * step[:, None, None]
     weight, bias = torch.randn(channels, channels, side, side) / side, torch.randn(channels)
     wanted = torch.nn.functional.conv2d(numbers, weight, bias, padding=side // 2)
     close = 0.03 * wanted.std()
-    assert ((_Sums(weight, bias, source, None)(image) - wanted).abs() < close).all()
     target = 4 * step
-    room = 255 * target[:, None, None]
-    found = _Sums(weight, bias, source, target)(image).float() * target[:, None, None]
+    each, room = target[:, None, None], 255 * target[:, None, None]
+    signed = (_Sums(weight, bias, source, target, 128)(image).float() - 128) * each
+    assert ((signed - wanted.maximum(-128 * each).minimum(127 * each)).abs() < close + target.max()).all()
+    found = _Sums(weight, bias, source, target)(image).float() * each
     assert ((found - wanted.clamp_min(0).minimum(room)).abs() < close + target.max()).all()
-    found = _Sums(weight, bias, source, target).beside(image, 0.25).float() * target[:, None, None]
+    found = _Sums(weight, bias, source, target).beside(image, 0.25).float() * each
     assert ((found - (wanted + numbers).clamp_min(0).minimum(room)).abs() < close + target.max()).all()
 
 
