@@ -56,7 +56,7 @@ def calibrate(
             help="A folder of .bin or .pcd.bin scans or one above it, a scan, an MCAP file, or a bag.",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="The sensor model is written here.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.json", help="The sensor model is written here.")],
     topic: Annotated[
         str | None, typer.Option(help="Use the point clouds of this topic, where the log has several.")
     ] = None,
@@ -65,6 +65,8 @@ def calibrate(
     """Find the lasers, steps and lever arms of any spinning LiDAR from its scans alone, and write them as a sensor model."""
     from salpcc.pipeline.sensors.calibration import calibrate_log, summary
 
+    if out.suffix != ".json":  # it would take the place of a log
+        raise UsageError(f"{out}: a sensor model is a file NAME.json")
     if not log.exists():
         raise UsageError(f"{log}: not found; name a folder of scans, a scan, or a log")
     found = calibrate_log(log, scans, out.stem, (topic,) if topic else ())

@@ -11,7 +11,8 @@ from salpcc.pipeline.export.beside import tell_what_stays
 from salpcc.pipeline.export.kitti import to_kitti
 from salpcc.pipeline.export.laz import to_laz
 from salpcc.pipeline.export.log import to_bag, to_mcap
-from salpcc.pipeline.export.ply import write_ply
+from salpcc.pipeline.export.new_files import write_new
+from salpcc.pipeline.export.ply import ply_of
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.schemas.extras import require
 from salpcc.schemas.scan import Scan
@@ -33,7 +34,7 @@ def to_ply(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
     and instance as annotated, as ``label``.
 
     Raises:
-        UsageError: the extra ``map`` is missing.
+        UsageError: other points are there, that these must not replace, or the extra ``map`` is missing.
     """
     require("map", "--to ply")
     for scan in scans:
@@ -43,7 +44,7 @@ def to_ply(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
             columns[free_name("class", set(columns)) if "class" in columns else "class"] = scan.classes
         if scan.labels is not None:
             columns[free_name("label", set(columns)) if "label" in columns else "label"] = scan.labels
-        write_ply(columns, path)
+        write_new(path, ply_of(columns), "points are")
         yield path
     tell_what_stays(archive, "ply", tell)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.export.beside import tell_what_stays
+from salpcc.pipeline.export.new_files import write_new
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.pipeline.files.kitti_files import label_bytes, scan_bytes, times_bytes
-from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import coordinate_rounding, scan_columns
@@ -38,16 +38,16 @@ def to_kitti(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in
         for what, by in _rounding(scan).items() if columns == 4 else ():
             rounded[what] = max(by, rounded.get(what, 0.0))
         path = folder / "velodyne" / f"{scan.name}.bin"
-        _write_new(path, scan_bytes(scan, columns), "points are")
+        write_new(path, scan_bytes(scan, columns), "points are")
         name = f"labels/{scan.name}.label"  # a side file where it fitted no points
         if name not in archive.side and (labels := label_bytes(scan)) is not None:
-            _write_new(folder / name, labels, "labels are")
+            write_new(folder / name, labels, "labels are")
         times[scan.name] = scan.time
         if scan.offset is not None:
             behind.add("when each was measured (t)")
         yield path
     for name in archive.side if times else ():
-        _write_new(folder / name, archive.side_file(name), "content is")
+        write_new(folder / name, archive.side_file(name), "content is")
     if times and not archive.side:
         _write_times(folder / "times.txt", times, tell)
     if behind:
@@ -69,13 +69,6 @@ def _rounding(scan: Scan) -> dict[str, float]:
             off = np.abs(wide - scan.intensity)
         found["intensities"] = float(off[np.isfinite(wide)].max(initial=0.0))
     return {what: by for what, by in found.items() if by}
-
-
-def _write_new(path: Path, data: bytes, what: str) -> None:
-    if path.is_file() and path.read_bytes() != data:
-        raise UsageError(f"{path}: other {what} there; name an empty folder with --out")
-    with atomic(path) as stream:
-        stream.write(data)
 
 
 def _write_times(path: Path, times: dict[str, int], tell: Tell) -> None:

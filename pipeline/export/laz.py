@@ -23,9 +23,9 @@ from salpcc.pipeline.export.las import (
     text_record,
     topic_of,
 )
+from salpcc.pipeline.export.new_files import write_new
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.schemas.extras import require
-from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import ASPRS_OF_CLASS, CLASSES
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import free_name, scan_columns
@@ -51,7 +51,7 @@ def to_laz(
     without a place (NaN, or far from all others) are left out.
 
     Raises:
-        UsageError: ``crs`` is no coordinate system, or the extra ``map`` is missing.
+        UsageError: ``crs`` is no coordinate system, other points are there, or the extra ``map`` is missing.
     """
     require("map", "--to laz")
     system = coordinate_system(crs) if crs else None
@@ -65,8 +65,7 @@ def to_laz(
             told.add(file.unit)
         wrong, left_out = wrong + file.wrong, left_out + file.left_out
         path = out / archive.sequence / f"{scan.name}.laz"
-        with atomic(path) as stream:
-            stream.write(laz_of(file.las))
+        write_new(path, laz_of(file.las), "points are")
         yield path
     if wrong:
         tell(

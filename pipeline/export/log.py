@@ -19,6 +19,7 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.export.beside import tell_what_stays
+from salpcc.pipeline.export.new_files import check_new
 from salpcc.pipeline.export.ros2 import ros2_channel
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.schemas.errors import UsageError
@@ -44,10 +45,14 @@ def to_mcap(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_
     the ids of channels, the order of messages of the same time, compression (of messages, too), chunks, indexes, the
     library in the header, schemas that no channel uses. Of ROS 1, ``header.seq`` goes: ROS 2's headers have none;
     messages of a type that is not known, or that are none of their type, stay ROS 1's, on a channel that says so.
+
+    Raises:
+        UsageError: one of the two files is there already.
     """
+    path = out / archive.sequence / f"{archive.sequence}.mcap"
+    check_new(path, path.with_name("metadata.yaml"))
     if any(channel.encoding == "ros1" for channel in archive.log.values()):
         tell("ROS 2 has no header.seq: the numbers in ROS 1 headers stay behind; --to bag keeps them")
-    path = out / archive.sequence / f"{archive.sequence}.mcap"
     counts: Counter[tuple[str, str, str]] = Counter()
     first, last = _LATEST, 0
     with atomic(path) as stream:
@@ -108,11 +113,12 @@ def to_bag(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
     Connections that tell the very same become one.
 
     Raises:
-        UsageError: the log was no ROS 1 bag.
+        UsageError: the log was no ROS 1 bag, or the file is there already.
     """
     if not archive.log or any(channel.encoding != "ros1" for channel in archive.log.values()):
         raise UsageError(f"--to bag: {archive.sequence} was no ROS 1 bag; use --to mcap")
     path = out / f"{archive.sequence}.bag"
+    check_new(path)
     with atomic_file(path) as part, Rosbag1Writer(part) as writer:
         connections = {}
         same: dict[LogChannel, Connection] = {}  # by what they tell; the writer takes nothing twice

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from salpcc.pipeline.export.copc import copc_of
 from salpcc.pipeline.export.las import coordinate_system, intensity_text, las_intensity, laz_of, text_record
-from salpcc.pipeline.export.ply import write_ply
+from salpcc.pipeline.export.ply import ply_of
 from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.schemas.files import atomic
 from salpcc.schemas.labels import ASPRS_OF_CLASS, CLASSES
@@ -91,7 +91,9 @@ def _las(
 def to_ply(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:
     """Write a binary PLY, float32 places in the map's frame, whose origin is a comment."""
     rows = _rows(voxels)
-    write_ply({name: rows[name] for name in rows.dtype.names or ()}, path, [_origin_text(frame)])
+    columns = {name: rows[name] for name in rows.dtype.names or ()}
+    with atomic(path) as stream:
+        stream.write(ply_of(columns, [_origin_text(frame)]))
 
 
 def to_pcd(voxels: Voxels, corner: F64, frame: Frame, path: Path) -> None:

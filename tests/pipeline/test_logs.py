@@ -29,7 +29,7 @@ from salpcc.pipeline.sensors.calibration import calibrate_log
 from salpcc.pipeline.verify import verify
 from salpcc.schemas import marks
 from salpcc.schemas.config import RunConfig
-from salpcc.schemas.errors import LogWarning, SourceError
+from salpcc.schemas.errors import LogWarning, SourceError, UsageError
 from salpcc.stages.ingest.sources import bag as bag_module
 from salpcc.stages.ingest.sources.bag import Bag, digest_log, find_log, open_log
 from salpcc.stages.ingest.sources.mcap_log import McapLog
@@ -227,6 +227,8 @@ def test_a_log_comes_back_byte_for_byte(
     ros1 = name == "ros1"
     (path,) = EXPORTS["bag" if ros1 else "mcap"](archive, iter(archive), tmp_path)
     assert read(path) == recorded[name]
+    with pytest.raises(UsageError, match="exists, and may be the log itself"):
+        list(EXPORTS["bag" if ros1 else "mcap"](archive, iter(archive), tmp_path))
 
 
 def facts(schema: Schema | None, channel: Channel, message: Message) -> tuple[object, ...]:

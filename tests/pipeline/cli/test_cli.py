@@ -178,6 +178,7 @@ def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_
         (["train", "coder", "--data", ".", "--effort", "fast"], ["no sweeps to train on"]),
         (["report", "nowhere"], ["no report there"]),
         (["calibrate", "nowhere", "--out", "s.json"], ["nowhere"]),
+        (["calibrate", "drive.mcap", "--out", "drive.mcap"], ["a sensor model is a file NAME.json"]),
         (["run", "sequences", "04", "--root", ".", "--columns", "6"], ["--columns"]),
         (["simulate", "--out", "file/sub", "--scans", "1"], ["file", "name another place"]),
         (

@@ -222,6 +222,28 @@ def test_kitti_tells_what_its_files_have_no_place_for(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize("form", ["ply", "laz", "kitti"])
+def test_other_points_are_never_replaced(form: str, archive: Archive, tmp_path: Path) -> None:
+    """What is there may be the recording, or all of what only a layer is written of now; the same again is no harm."""
+    for _ in range(2):
+        paths = list(EXPORTS[form](archive, iter(archive), tmp_path))
+    before = paths[-1].read_bytes()
+    shorter = [replace(scan, points=scan.points + 1) for scan in archive]
+    with pytest.raises(UsageError, match="other points are there"):
+        list(EXPORTS[form](archive, iter(shorter), tmp_path))
+    assert paths[-1].read_bytes() == before
+
+
+@pytest.mark.parametrize("there", ["01.mcap", "metadata.yaml"])
+def test_a_log_is_never_replaced(there: str, archive: Archive, tmp_path: Path) -> None:
+    """A folder of rosbag2 has the name of its archive; that its metadata told of another file would hide a .db3, too."""
+    (tmp_path / "01").mkdir()
+    (tmp_path / "01" / there).write_bytes(b"recorded")
+    with pytest.raises(UsageError, match=f"{there}: exists, and may be the log itself"):
+        list(EXPORTS["mcap"](archive, iter(archive), tmp_path))
+    assert [path.read_bytes() for path in (tmp_path / "01").iterdir()] == [b"recorded"]
+
+
 @pytest.mark.parametrize("form", sorted(EXPORTS.keys() - {"bag"}))
 def test_a_full_disk_is_told_with_the_file(
     form: str, archive: Archive, tmp_path: Path, request: pytest.FixtureRequest
