@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from salpcc.stages.entropy.mixed_numbers import copied
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.strays.between import find_between
 from salpcc.stages.strays.learned_counts import (
     CountModels,
     CountSeen,
@@ -13,19 +17,26 @@ from salpcc.stages.strays.learned_counts import (
     no_counts,
 )
 from salpcc.stages.strays.learned_order import OrderModels, OrderSeen, new_order_models, nothing_seen
+from salpcc.stages.strays.learned_rays import RayModels, RaySeen, new_ray_models, no_rays
 from salpcc.stages.strays.moved_sweep import Passing, Turn, no_turn, seen_later
+from salpcc.stages.strays.seen_rays import Eyes, Swept, swept_later
 from salpcc.stages.strays.timeline import Passed
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 MOST_LISTS = 15  # topics of a group that learn; the others are coded as ``fast`` does
 
 
 class Known(NamedTuple):
-    """Models, which adapt, and the sweep before; ``passing``: of a sensor whose motion is known; how many lists there were."""
+    """Models, which adapt, and the sweep before: on the lattice, ``passing`` of a sensor whose motion is known, ``swept`` on rays; how many lists there were."""
 
     order: OrderModels
     counts: CountModels
     turn: Turn
     passing: Passing | None
+    rays: RayModels | None
+    swept: Swept | None
     lists: int
 
 
@@ -38,12 +49,19 @@ class Walk(NamedTuple):
     counted: CountSeen
 
 
+class RayWalk(NamedTuple):
+    """What :func:`.timed_coder.code_timed` takes: models, and what the scan shows."""
+
+    models: RayModels
+    seen: RaySeen
+
+
 class Learned:
     """What was learned of the clouds of one topic; a writer tries things, so what it learned counts only once it is :meth:`settled`."""
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self._known = Known(new_order_models(), new_count_models(), no_turn(), None, 0)
+        self._known = Known(new_order_models(), new_count_models(), no_turn(), None, None, None, 0)
         self._tried = self._known
         self.passed: Passed | None = None  # of the last walk
 
@@ -51,11 +69,28 @@ class Learned:
         """Begin a scan with copies of all that is known; ``own``, ``passing``: what it will tell the next one."""
         known = self._known
         order, counts = copied(known.order), copied(known.counts)
-        self._tried = Known(order, counts, own, passing, known.lists + 1)
+        self._tried = Known(order, counts, own, passing, known.rays, None, known.lists + 1)
         seen = seen_later(known.passing, passing, sensor)
         counted = no_counts(len(own.azimuth), known.turn, seen)
         self.passed = Passed(known.lists + 1, counted.there)
         return Walk(order, nothing_seen(), counts, counted)
+
+    def between(self, points: F64, laser: I64, origin: F64) -> NDArray[np.float32]:
+        """Find the motion ``(6,)`` from the scan of rays before to points ``(N, 3)`` of lasers ``(N,)``, which a sensor at ``origin`` sees; zeros where there is none."""
+        before = self._known.swept
+        if before is None:
+            return np.zeros(6, np.float32)
+        guess = before.between.astype(np.float64)
+        return find_between(before.points.astype(np.float64), points, laser, origin, guess).astype(np.float32)
+
+    def turning(self, own: Swept, eyes: Eyes) -> RayWalk:
+        """The same for a scan of points on the rays of ``eyes``."""
+        known = self._known
+        rays = new_ray_models() if known.rays is None else copied(known.rays)
+        self._tried = Known(known.order, known.counts, no_turn(), None, rays, own, known.lists + 1)
+        seen = no_rays(len(own.points), swept_later(known.swept, own, eyes))
+        self.passed = Passed(known.lists + 1, seen.there)
+        return RayWalk(rays, seen)
 
     def settle(self) -> None:
         """Keep what the last walk learned."""

@@ -117,7 +117,7 @@ def signed_bucket(value: float) -> int:
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def _with_change(was: F64, w: int, i: int, place: int, inverse: F64) -> float:
+def with_change(was: F64, w: int, i: int, place: int, inverse: F64) -> float:
     """1/d that a sweep before had, plus what has changed at ``place``, if anything is known there."""
     if place < 0 or was[place, w] == 0.0:
         return was[i, w]
@@ -140,7 +140,7 @@ def _guess_before(seen: CountSeen, w, i, place, upper, lower, scale, spread, tru
     for which in range(_BEFORE):
         if which == 1 and (place < 0 or was[place, w] == 0.0):
             break
-        value = was[i, w] if which == 0 else _with_change(was, w, i, place, inverse)
+        value = was[i, w] if which == 0 else with_change(was, w, i, place, inverse)
         wide = (near if which == 0 else far) / was[i, w] / unit
         guesses.mean[n] = (1.0 / value - d0) / unit - middle
         guesses.per[n] = 1.0 / (wide * _WIDER + _LEAST_BEFORE)
@@ -245,7 +245,7 @@ def code_count(  # type: ignore[no-untyped-def]
     for w in range(_SWEEPS):
         if was[i, w] == 0.0:
             continue
-        changed = _with_change(was, w, i, place, inverse)
+        changed = with_change(was, w, i, place, inverse)
         seen.off[i, 2 * w] = min(abs(was[i, w] * d - 1.0), 1.0)
         seen.off[i, 2 * w + 1] = min(abs(changed * d - 1.0), 1.0)
     return found

@@ -88,13 +88,18 @@ def seen_later(before: Passing | None, own: Passing | None, sensor: SensorModel)
 
 
 def _turn_of(sensor: SensorModel, laser: I64, tick: I64, count: I64, places: I64) -> Turn:
-    """Return points ``(n,)`` in the order of lasers, those of one in that of azimuths."""
+    """Return points ``(n,)`` on the lattice in the order of lasers, those of one in that of azimuths."""
     parameters = sensor.parameters
     azimuth = tick + parameters[laser, 3] * (sensor.ticks_per_turn / TWO_PI)
-    order = np.lexsort((azimuth, laser))
-    laser, azimuth, count = laser[order], azimuth[order], count[order]
     inverse = 1.0 / np.maximum(count * sensor.count + parameters[laser, 4], 1e-3)
-    every = np.arange(sensor.n_lasers)
+    return turn_of(laser, azimuth, inverse, places, sensor.n_lasers)
+
+
+def turn_of(laser: I64, azimuth: F64, inverse: F64, places: I64, lasers: int) -> Turn:
+    """Return points ``(n,)`` in the order of lasers, those of one in that of azimuths."""
+    order = np.lexsort((azimuth, laser))
+    laser, azimuth, inverse = laser[order], azimuth[order], inverse[order]
+    every = np.arange(lasers)
     first = np.searchsorted(laser, every)
     last = np.searchsorted(laser, every, side="right") - 1
     links = np.arange(len(laser))[:, None] + np.array([-1, 1])

@@ -30,7 +30,7 @@ from salpcc.stages.strays.moved_sweep import Clock
 from salpcc.stages.strays.ray_coder import F32, Layout
 from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID, HALVES
 from salpcc.stages.strays.ray_stream import move_points, read_points, write_points
-from salpcc.stages.strays.timed_strays import read_timed, write_timed
+from salpcc.stages.strays.timed_strays import ray_number_of, read_timed, write_timed
 from salpcc.stages.strays.timeline import Timeline
 
 AIMED, TIMED, MOVED = 3, 5, 6  # the forms after those of rays
@@ -134,7 +134,7 @@ def plan(
     layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes, like)
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
     if exact and lanes is not None and times is not None:
-        timed = write_timed(points, lanes, times, form, per, turning)
+        timed = write_timed(points, lanes, times, form, per, turning, learned)
         if timed is not None and len(timed[0]) < len(encode_strays(np.arange(len(points)), rays)):
             return replace(rays, coded=(TIMED, *timed[:2]), turning=timed[2])
     return min(aimed, rays, key=_size) if aimed else rays
@@ -254,7 +254,7 @@ def decode_strays(
     body = np.ascontiguousarray(data[begin:])
     told = None
     if form == TIMED:
-        points, told, whole = read_timed(n, per, body)
+        points, told, whole = read_timed(n, per, body, lists)
     elif form == MOVED:
         assert sensor is not None
         points, told, whole = read_moved(
@@ -284,6 +284,8 @@ def learned_number(data: bytes) -> int:
         return 0
     first, form = _HEAD.unpack_from(data)[:2]
     body = data[_HEAD.size + first :]
+    if form == TIMED:
+        return ray_number_of(body)
     return number_of(body if form == AIMED else body_of(body)) if form in (AIMED, MOVED) else 0
 
 

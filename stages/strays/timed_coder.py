@@ -16,6 +16,7 @@ from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number,
 from salpcc.stages.lattice.trig import TWO_PI, arctan2
 from salpcc.stages.strays.aimed_neighbours import above_and_below, guess_inverse, link
 from salpcc.stages.strays.aimed_symbols import PREDICTORS
+from salpcc.stages.strays.learned_rays import code_learned_ray, learn_ray
 from salpcc.stages.strays.ray_forms import (
     GRID,
     HALVES,
@@ -53,13 +54,14 @@ def _grain(value: float, form: int, per: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, models, state, data):  # type: ignore[no-untyped-def]
+def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, models, learned, state, data):  # type: ignore[no-untyped-def]
     """Write or read points ``(N, 3)`` float32.
 
     Args:
         laser, time: of each point ``(N,)``; times from -1/2 to 1/2. ``group``: the sensor of each laser.
         rays: of :class:`~.turning_rays.Turning`.
         beside_of: the lasers above and below each, -1: none.
+        learned: models and what they see (:mod:`.learned_rays`), of efforts above ``fast``, or None: then numbers are coded in the two contexts of each.
     """
     lasers, sensors, motion = rays
     above, below = beside_of
@@ -75,7 +77,10 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
     for i in range(n):
         k = np.int64(laser[i])
         g = group[k]
-        o, d, turning = ray_at(lasers, sensors, motion, k, g, time[i], turned[g])
+        strayed = turned[g]
+        if learned is not None:
+            strayed += learned.models.bias[k]
+        o, d, turning = ray_at(lasers, sensors, motion, k, g, time[i], strayed)
         azimuth[i] = arctan2(d[1], d[0])
         place = ends[k, 1]
         upper = above_and_below(i, k, above[k], 0, TWO_PI, azimuth, inverse, links, ends, cursor, beside)
@@ -88,33 +93,39 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
             axis = 1
         if abs(d[2]) > max(abs(d[0]), abs(d[1])):
             axis = 2
-        foretold = o[axis] + r * d[axis]
-        whole = whole_of(foretold, form, per)
-        unit = max(_grain(foretold, form, per) / abs(d[axis]), 1e-9)
-        size = np.int64(sizes[place, 0]) if place >= 0 else _CLASSES - 1
-        numbers[0] = whole_of(points[i, axis], form, per) - whole if writing else 0
-        numbers[0] = code_number(
-            writing, state, data, of_spread, bucket_of(spread, unit),
-            of_sizes, min(bucket_of(apart, unit) // 2, _CLASSES - 1) * _CLASSES + size, numbers[0],
-        )  # fmt: skip
-        sizes[i, 0] = (size_of(abs(numbers[0])) + 1) // 2
-        points[i, axis] = coordinate_of(whole + numbers[0], form, per)
-        r = (np.float64(points[i, axis]) - o[axis]) / d[axis]
-        r = min(max(r, _NEAREST), _FARTHEST)
-        grain = _grain(np.float64(points[i, axis]), form, per)
-        for c in range(1, 3):
-            other = axis + c if axis + c < 3 else axis + c - 3
-            foretold = o[other] + r * d[other]
-            whole = whole_of(foretold, form, per)
-            numbers[c] = whole_of(points[i, other], form, per) - whole if writing else 0
-            near = np.int64(sizes[place, c]) if place >= 0 else _CLASSES - 1
-            loose = abs(d[other] / d[axis]) * grain * 0.5 + r * _WANDERS * (1.0 if other == 2 else 2.0)
-            numbers[c] = code_number(
-                writing, state, data, of_grain, (c - 1) * SPREADS + bucket_of(loose, _grain(foretold, form, per)),
-                of_across, ((c - 1) * _CLASSES + near) * _CLASSES + np.int64(sizes[recent, c]), numbers[c],
+        if learned is not None:
+            code_learned_ray(
+                writing, state, data, learned, i, k, g, (place, upper, lower), (r, spread, apart), (o, d, turning), axis, points,
+                time, form, per, azimuth, inverse, errors, guess,
             )  # fmt: skip
-            sizes[i, c] = (size_of(abs(numbers[c])) + 1) // 2
-            points[i, other] = coordinate_of(whole + numbers[c], form, per)
+        else:
+            foretold = o[axis] + r * d[axis]
+            whole = whole_of(foretold, form, per)
+            unit = max(_grain(foretold, form, per) / abs(d[axis]), 1e-9)
+            size = np.int64(sizes[place, 0]) if place >= 0 else _CLASSES - 1
+            numbers[0] = whole_of(points[i, axis], form, per) - whole if writing else 0
+            numbers[0] = code_number(
+                writing, state, data, of_spread, bucket_of(spread, unit),
+                of_sizes, min(bucket_of(apart, unit) // 2, _CLASSES - 1) * _CLASSES + size, numbers[0],
+            )  # fmt: skip
+            sizes[i, 0] = (size_of(abs(numbers[0])) + 1) // 2
+            points[i, axis] = coordinate_of(whole + numbers[0], form, per)
+            r = (np.float64(points[i, axis]) - o[axis]) / d[axis]
+            r = min(max(r, _NEAREST), _FARTHEST)
+            grain = _grain(np.float64(points[i, axis]), form, per)
+            for c in range(1, 3):
+                other = axis + c if axis + c < 3 else axis + c - 3
+                foretold = o[other] + r * d[other]
+                whole = whole_of(foretold, form, per)
+                numbers[c] = whole_of(points[i, other], form, per) - whole if writing else 0
+                near = np.int64(sizes[place, c]) if place >= 0 else _CLASSES - 1
+                loose = abs(d[other] / d[axis]) * grain * 0.5 + r * _WANDERS * (1.0 if other == 2 else 2.0)
+                numbers[c] = code_number(
+                    writing, state, data, of_grain, (c - 1) * SPREADS + bucket_of(loose, _grain(foretold, form, per)),
+                    of_across, ((c - 1) * _CLASSES + near) * _CLASSES + np.int64(sizes[recent, c]), numbers[c],
+                )  # fmt: skip
+                sizes[i, c] = (size_of(abs(numbers[c])) + 1) // 2
+                points[i, other] = coordinate_of(whole + numbers[c], form, per)
         if not writing and state[3] != 0:
             return
         x, y, z = (
@@ -126,7 +137,10 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
         if not _NEAREST < r < _FARTHEST:
             continue
         aside = (x * turning[0] + y * turning[1] + z * turning[2]) / r
-        turned[g] += _GAIN * min(max(aside, -_MOST_TURNED), _MOST_TURNED)
+        if learned is None:
+            turned[g] += _GAIN * min(max(aside, -_MOST_TURNED), _MOST_TURNED)
+        else:
+            turned[g] += learn_ray(learned, i, k, g, place, points[i], turning, r, aside, form, per, inverse)
         inverse[i] = 1.0 / r
         for p in range(PREDICTORS):
             errors[i, p] = np.uint16(min(abs(guess[p] * r - 1.0), 1.0) * 65535.0)

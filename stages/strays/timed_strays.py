@@ -1,20 +1,23 @@
 """Points whose lasers and times are told, on the rays of lasers that turn steadily: form TIMED of :mod:`.stray_coder`.
 
-Body: bytes of the timeline (uint32), the timeline (:mod:`.timeline`); form of the coordinates, lasers less one, sensors (uint8 each); the float32
-numbers of :class:`~.turning_rays.Turning`, array by array; the walk of :mod:`.timed_coder`.
+Body: bytes of the timeline (uint32), the timeline (:mod:`.timeline`); form of the coordinates and 16 times the number of what was learned (:mod:`.learned`; 0:
+nothing), lasers less one, sensors (uint8 each); the float32 numbers of :class:`~.turning_rays.Turning`, array by array, and with a number those of the motion since the scan before (:mod:`.between`); the walk of :mod:`.timed_coder`.
 """
 
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
 from salpcc.stages.strays.fit_turning import Fitted, fit_again, fit_turning
+from salpcc.stages.strays.learned import Learned, LearnedLists
 from salpcc.stages.strays.ray_coder import F32
 from salpcc.stages.strays.ray_forms import BITS, GRID, HALVES
+from salpcc.stages.strays.seen_rays import Swept, eyes_of
 from salpcc.stages.strays.timed_coder import code_timed, new_models
 from salpcc.stages.strays.timeline import I64, Lasers, Timeline, decode_timeline, find_timelines
 from salpcc.stages.strays.turning_rays import Turning
@@ -22,6 +25,7 @@ from salpcc.stages.strays.turning_rays import Turning
 _BODY, _RAYS = struct.Struct("<I"), struct.Struct("<BBB")
 _FEWEST, _MOST_POINTS = 2000, 1 << 22
 _LARGEST = 1e4  # of any number
+_BETWEEN = 6  # numbers of the motion between sweeps
 _LOOSE = 3e-3  # radians; lasers that are farther off than that turn in another way
 _HOPELESS = 6.0  # bits a point of a timeline
 _NEARLY = 1.1  # of the shortest; then rays tell which lasers are of one sensor
@@ -30,12 +34,19 @@ Array = NDArray[np.uint8]
 
 
 def write_timed(
-    points: F32, laser: Lasers, time: I64, form: int, per: int, like: Fitted | None = None
+    points: F32,
+    laser: Lasers,
+    time: I64,
+    form: int,
+    per: int,
+    like: Fitted | None = None,
+    learned: Learned | None = None,
 ) -> tuple[bytes, Timeline, Fitted] | None:
     """Encode points ``(S, 3)`` of lasers ``(S,)`` at times ``(S,)``; None where they do not go round, or a reader would have others.
 
     Args:
         like: the rays of the scan before, to begin with.
+        learned: of such points before, for efforts above ``fast``.
     """
     if not _FEWEST <= len(points) <= _MOST_POINTS:
         return None
@@ -44,32 +55,59 @@ def write_timed(
         return None
     wide, lasers, scaled = points.astype(np.float64), laser.astype(np.int64), _scaled(time)
     lines = [(line, told) for line, told in lines if len(told) <= _NEARLY * len(lines[0][1])]
-    best: tuple[Fitted, Timeline, bytes] | None = None
-    for line, told in lines:
-        fitted = None if like is None else fit_again(wide, lasers, line.group, scaled, like)
-        if fitted is not None and (best is None or fitted[1] < best[0][1]):
-            best = fitted, line, told
-    for line, told in lines if best is None else []:
-        fitted = fit_turning(wide, lasers, line.group, scaled)
-        if fitted is not None and fitted[1] < (_LOOSE if best is None else best[0][1]):
-            best = fitted, line, told
-    if best is None:
+    fits = []
+    for line, told in lines if like is not None else []:
+        again = fit_again(wide, lasers, line.group, scaled, like)  # type: ignore[arg-type]
+        fits += [] if again is None else [(again, line, told)]
+    for line, told in lines if not fits else []:
+        anew = fit_turning(wide, lasers, line.group, scaled)
+        fits += [(anew, line, told)] if anew is not None and anew[1] < _LOOSE else []
+    if not fits:
         return None
-    fitted, line, told = best
-    turning = fitted[0]
+    between = np.zeros(6, np.float32)
+    if learned is not None:
+        origin = fits[0][0][0].sensors[:, :3].mean(axis=0).astype(np.float64)
+        between = learned.between(wide, lasers, origin)
+
+    def written(fitted: Fitted, line: Timeline, told: bytes) -> tuple[bytes, Timeline] | None:
+        return _written(points, line, told, fitted[0], form, per, learned, between)
+
+    best = min(fits, key=lambda fit: fit[0][1])
+    if learned is not None and len(fits) > 1:  # the nearest may be of too many sensors to learn much
+        sizes = [len(one[0]) if one is not None else np.inf for one in (written(*fit) for fit in fits)]
+        best = fits[int(np.argmin(sizes))]
+    coded = written(*best)
+    return coded and (*coded, best[0])
+
+
+def _written(
+    points: F32,
+    line: Timeline,
+    told: bytes,
+    turning: Turning,
+    form: int,
+    per: int,
+    learned: Learned | None,
+    between: NDArray[np.float32],
+) -> tuple[bytes, Timeline] | None:
+    """Encode points of these lasers, times and rays, and what a reader will know of them; None where it would have others."""
     out = np.empty(48 * len(points) + 4096, np.uint8)
     state, back = start_encoder(), points.copy()
-    _code(True, back, line, turning, form, per, state, out)
+    known = _code(True, back, line, turning, form, per, learned, between, state, out)
     written = int(finish_encoder(state, out)) if state[3] == 0 else -1
     if written < 0 or (back.view(np.int32) != points.view(np.int32)).any():
         return None
-    rays = _RAYS.pack(form, len(turning.lasers) - 1, len(turning.sensors))
-    numbers = b"".join(a.astype("<f4").tobytes() for a in (turning.lasers, turning.sensors, turning.motion))
-    return _BODY.pack(len(told)) + told + rays + numbers + out[:written].tobytes(), line, fitted
+    number = 0 if learned is None else learned.number
+    rays = _RAYS.pack(form + (number << 4), len(turning.lasers) - 1, len(turning.sensors))
+    told_of = (turning.lasers, turning.sensors, turning.motion, between[: _BETWEEN * (number > 0)])
+    numbers = b"".join(a.astype("<f4").tobytes() for a in told_of)
+    return _BODY.pack(len(told)) + told + rays + numbers + out[:written].tobytes(), known
 
 
-def read_timed(n: int, per: int, data: Array) -> tuple[F32, Timeline, bool]:
-    """Inverse of :func:`write_timed`: points ``(n, 3)``, their timeline, and whether the data made sense."""
+def read_timed(
+    n: int, per: int, data: Array, lists: LearnedLists | None = None
+) -> tuple[F32, Timeline, bool]:
+    """Inverse of :func:`write_timed`: points ``(n, 3)``, their timeline, and whether the data made sense; ``lists``: what was learned before."""
     points, line = np.zeros((n, 3), np.float32), Timeline(np.zeros(n, np.uint8), np.zeros(n, np.int64), 0)
     raw = data.tobytes()
     if not 0 < n <= _MOST_POINTS or len(raw) < _BODY.size:
@@ -79,34 +117,61 @@ def read_timed(n: int, per: int, data: Array) -> tuple[F32, Timeline, bool]:
         return points, line, False
     line, sound = decode_timeline(n, raw[_BODY.size : begin])
     form, lasers, sensors = _RAYS.unpack_from(raw, begin)
+    form, number = form & 15, form >> 4
     lasers += 1
-    sizes = (2 * lasers, 7 * sensors, 6)
+    sizes = (2 * lasers, 7 * sensors, 6, _BETWEEN if number else 0)
     end = begin + _RAYS.size + 4 * sum(sizes)
     sound = sound and form in (GRID, BITS, HALVES) and end <= len(raw) and int(line.laser.max()) < lasers
+    sound = sound and (number == 0 or lists is not None)
     if not sound or int(line.group[line.laser].max()) >= sensors:
         return points, line, False
     numbers = np.frombuffer(raw, "<f4", sum(sizes), begin + _RAYS.size).astype(np.float32)
     if not (np.abs(numbers) < _LARGEST).all():
         return points, line, False
-    a, b, c = np.split(numbers, np.cumsum(sizes)[:2])
+    a, b, c, between = np.split(numbers, np.cumsum(sizes)[:3])
+    learned = lists.of_number(number) if lists is not None and number else None
     walk = np.frombuffer(bytearray(raw[end:]), np.uint8)
     state = start_decoder(walk)
-    _code(False, points, line, Turning(a.reshape(-1, 2), b.reshape(-1, 7), c), form, per, state, walk)
+    turning = Turning(a.reshape(-1, 2), b.reshape(-1, 7), c)
+    line = _code(False, points, line, turning, form, per, learned, between, state, walk)
+    if learned is not None:
+        learned.settle()
     return points, line, bool(state[3] == 0)
 
 
+def ray_number_of(body: bytes) -> int:
+    """The number of what a body that :func:`write_timed` wrote goes on from; 0: of nothing."""
+    return body[_BODY.size + _BODY.unpack_from(body)[0]] >> 4
+
+
 def _code(
-    writing: bool, points: F32, line: Timeline, turning: Turning, form: int, per: int, state: I64, data: Array
-) -> None:
+    writing: bool,
+    points: F32,
+    line: Timeline,
+    turning: Turning,
+    form: int,
+    per: int,
+    learned: Learned | None,
+    between: NDArray[np.float32],
+    state: I64,
+    data: Array,
+) -> Timeline:
+    """Write or read points; return their timeline with all that is known of it then."""
     order = np.argsort(-turning.lasers[:, 0].astype(np.float64), kind="stable")
     above, below = np.full(len(order), -1), np.full(len(order), -1)
     for sensor in range(len(turning.sensors)):
         own = order[line.group[order] == sensor]
         above[own[1:]], below[own[:-1]] = own[:-1], own[1:]
     rays = tuple(np.ascontiguousarray(a) for a in (turning.lasers, turning.sensors, turning.motion))
+    walk = None
+    if learned is not None:
+        walk = learned.turning(Swept(points, between), eyes_of(turning, line.group))
+        line = replace(line, passed=learned.passed)
     code_timed(
-        writing, points, line.laser, line.group, _scaled(line.time), rays, (above, below), form, float(per), new_models(), state, data
+        writing, points, line.laser, line.group, _scaled(line.time), rays, (above, below), form, float(per), new_models(), walk, state,
+        data,
     )  # fmt: skip
+    return line
 
 
 def _scaled(time: I64) -> NDArray[np.float64]:

@@ -79,6 +79,18 @@ def driven_past(turns: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> dict[
     return written
 
 
+def on_rays(turns: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> dict[str, bytes]:
+    """Streams of the same as float16, on rays of no known sensor."""
+    lists, written, turning = LearnedLists(), {}, None
+    for number, (points, laser, time) in enumerate(turns):
+        halves = points.astype(np.float16).astype(np.float32)
+        found = plan(halves, 0.0, lanes=laser, times=time, turning=turning, learned=lists.of_topic("/a"))
+        written[f"rays_{number}"] = encode_strays(np.arange(len(points)), found)
+        lists.settle(1)
+        turning = found.turning
+    return written
+
+
 def main() -> None:
     points, laser, time = turn()
     sensor = load_sensor(SENSOR)
@@ -94,6 +106,7 @@ def main() -> None:
         "blended": encode_blended(shine, around),
         **learned(scans),
         **driven_past(turns),
+        **on_rays(turns),
     }
     expected: dict[str, object] = {
         "n": len(points),
@@ -105,6 +118,10 @@ def main() -> None:
         ],
         "passed": [
             [len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan, 3.0))] for scan, _, _ in turns
+        ],
+        "rays": [
+            [len(scan), zlib.crc32(scan.astype(np.float16).astype(np.float32).tobytes())]
+            for scan, _, _ in turns
         ],
         "time": zlib.crc32(time.astype("<i8").tobytes()),
     }

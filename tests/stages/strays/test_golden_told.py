@@ -75,6 +75,20 @@ def test_gives_the_same_points_and_values_of_a_sensor_that_moves() -> None:
         assert zlib.crc32(values) == of_values
 
 
+def test_gives_the_same_points_on_rays_that_are_learned() -> None:
+    lists = LearnedLists()
+    for number, (n, of_points) in enumerate(EXPECTED["rays"]):
+        data = (TOLD / f"rays_{number}.bin").read_bytes()
+        assert [data[4], learned_number(data)] == [TIMED, 1]
+        read = np.frombuffer(bytearray(data), np.uint8)
+        _, points, told, sound = decode_strays(n, 0.0, read, lists=lists)
+        assert sound
+        assert told is not None
+        assert told.passed is not None
+        assert (told.passed.there >= 0).any() == (number > 0)
+        assert zlib.crc32(points.tobytes()) == of_points
+
+
 def test_gives_the_same_learned_points_and_values_and_bytes() -> None:
     lists, again, modes, modes_again = LearnedLists(), LearnedLists(), FieldModes(), FieldModes(True)
     for number, (n, of_points, of_values) in enumerate(EXPECTED["learned"]):
