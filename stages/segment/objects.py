@@ -3,8 +3,9 @@
 The network judges pixels, so half of a lorry is a house and nine points of a guard rail are a car. What stands on the
 ground falls apart at gaps; each part of a possible size is given the mean of what is said of its pixels. Parts of
 consecutive scans that lie at one place, or close by and of one size, are one object. One that left its place is the
-likelier movable, in all of them. What is larger than any object is a house, a hedge or a guard rail (or a tram): only
-what stands apart from it can be movable.
+likelier movable, in all of them. What lies within a movable one, a load or what is seen through windows, is part of
+it. What is larger than any object is a house, a hedge or a guard rail (or a tram): only what stands apart from it can
+be movable.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ _LONGEST, _HIGHEST = 20.0, 4.5  # metres; a larger thing is not one object
 _LONG, _LOW = 6.0, 1.2  # metres; what is longer and ends lower is a rail or a kerb, not a vehicle
 _SPLINTER = 0.8  # metres; what is shorter seldom is a whole thing,
 _SPLINTER_COUNTS = 0.5  # so its odds to be movable are halved
+_HOLDS = 3.0  # metres; what is longer and movable may have windows and a load
+_STAYS = 0.02  # probability to be movable of what is no part of it all the same
 _SAME_PLACE = 1.5  # metres between an object and itself, a scan later
 _SIZE_COUNTS = 0.5  # metres of place that a metre of size is worth
 _LEFT = 2.0  # metres, and its own length, that an object has gone which left its place
@@ -267,15 +270,36 @@ def judge_objects(found: Sequence[Segmentation], steps: Sequence[F64 | None]) ->
     mean = said.astype(np.float32)[whole]
     best = votes.argmax(axis=2).astype(np.uint8)[whole]
     judged = []
-    for one, things, start in zip(found, seen, starts[:-1], strict=True):
+    for one, things, start, end in zip(found, seen, starts, starts[1:], strict=False):
         within = things.names >= 0
-        names = start + things.names[within]
+        holders = _holders(one, things, mean[start:end])
+        names = start + holders[things.names[within]]
         groups, classes = one.groups.copy(), one.best.copy()
         groups[:, within] = mean[names].T
         classes[:, within] = best[names].T
         groups[MOVABLE, things.beyond] = 0.0
         judged.append(replace(one, groups=groups, best=classes))
     return judged
+
+
+def _holders(one: Segmentation, things: Objects, mean: F32) -> I32:
+    """Name for each object ``(n,)`` of ``mean`` probabilities ``(n, 3)`` the movable one that it lies within; else itself.
+
+    Within is what has pixels of the other all around, in no half of the plane none.
+    """
+    holders = np.arange(len(mean)).astype(np.int32)
+    movable = mean.argmax(axis=1) == MOVABLE
+    middle, length, height = things.shape[:, :3], things.shape[:, 3], things.shape[:, 4]
+    for k in np.flatnonzero(movable & (length > _HOLDS)).tolist():
+        off = middle - middle[k]
+        near = (np.hypot(off[:, 0], off[:, 1]) < length[k]) & (np.abs(off[:, 2]) < height[k])
+        near &= ~movable & (length < length[k]) & (mean[:, MOVABLE] > _STAYS)
+        x, y = one.image.planes[:2, things.names == k].astype(np.float64)
+        for part in np.flatnonzero(near).tolist():
+            angles = np.sort(np.arctan2(y - middle[part, 1], x - middle[part, 0]))
+            if np.diff(angles, append=angles[0] + 2 * np.pi).max() < np.pi:
+                holders[part] = k
+    return holders
 
 
 def _left(

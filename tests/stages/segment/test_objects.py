@@ -122,6 +122,20 @@ def test_an_object_has_one_class() -> None:
     assert set(judged.classes()[upright]) == {CAR}
 
 
+@pytest.mark.parametrize(("x", "said", "share"), [(11.3, 0.3, 1.0), (11.3, 0.0, 0.0), (14.0, 0.3, 0.0)])
+def test_what_is_seen_within_a_van_is_the_van(x: float, said: float, share: float) -> None:
+    """Over its low side, between its other three; what lies behind it is not, nor what surely is something else."""
+    end = _board(0.0, 11.3, 2.6, 2.2)[:, [1, 0, 2]]
+    van = [_board(10.0, 0.0, 6.0, 0.9), end + (0, 3, 0), end - (0, 3, 0), _board(12.6, 0.0, 6.0, 1.8)]
+    found = _scan([*((part, 0.9) for part in van), (_board(x, 0.0, 1.0, 2.4), said)])
+    (judged,) = judge_objects([found], [None])
+    inside = np.linalg.norm(found.image.planes[:2] - np.array([x, 0.0])[:, None, None], axis=0) < 0.52
+    inside &= found.image.planes[2] > -1.5
+    decided = judged.groups.argmax(axis=0) == MOVABLE
+    assert inside.sum() > 20 and decided[inside].mean() == share
+    assert decided[~inside].sum() > 500
+
+
 @pytest.mark.parametrize(("step", "share"), [(STILL, 1.0), (None, 0.0)])
 def test_a_doubt_is_settled_by_the_scans_around(step: np.ndarray | None, share: float) -> None:
     doubts = (0.8, 0.4, 0.8)
