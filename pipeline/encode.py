@@ -106,7 +106,7 @@ def encode_scans(
     if unknown := arrays.keys() - given.keys():
         name = min(unknown)
         raise KindError(
-            f"option {name}: there is none, and {arrays[name]!r} is no array of a field of points"
+            f"option {name}: there is none, and {type(arrays[name]).__name__} is no array of a field of points"
         )
     given |= {name: options.pop(name) for name in list(options) if is_array(options[name])}
     if is_array(scans):

@@ -35,6 +35,10 @@ class ArchiveError(SalpccError):
     """An archive or a payload in it is damaged, truncated or of an unknown version."""
 
 
+class DamagedError(ArchiveError):
+    """Bytes of an archive are gone or are not what they were; what is whole can be recovered."""
+
+
 class LockedError(SalpccError):
     """Another run holds the output folder."""
 

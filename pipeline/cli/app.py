@@ -20,7 +20,7 @@ from salpcc.pipeline.cli import run_log as cli_log
 from salpcc.pipeline.cli import run_sequences as cli_run
 from salpcc.pipeline.cli import train_networks as cli_train
 from salpcc.pipeline.schedule.progress import STDERR
-from salpcc.schemas.errors import LogWarning, SalpccError, UsageError
+from salpcc.schemas.errors import DamagedError, LogWarning, SalpccError, UsageError
 from salpcc.schemas.files import unreachable, why
 from salpcc.stages.memory import keep_memory
 
@@ -93,6 +93,8 @@ def main() -> None:
             app()
     except UsageError as error:
         _fail(str(error), 2)
+    except DamagedError as error:
+        _fail(f"{error}; `salpcc-pipeline recover` saves what is whole", 1)
     except SalpccError as error:
         _fail(str(error), 1)
     except Exception as error:
@@ -118,7 +120,7 @@ def _notes() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             if issubclass(category, LogWarning):
-                STDERR.print(f"note: {message}", soft_wrap=True, markup=False)
+                STDERR.print(f"note: {message}", soft_wrap=True)
             else:
                 shown(message, category, *where, **more)
 
@@ -127,5 +129,5 @@ def _notes() -> Iterator[None]:
 
 
 def _fail(line: str, code: int) -> None:
-    STDERR.print(f"error: {line}", soft_wrap=True, markup=False, style="red")
+    STDERR.print(f"error: {line}", soft_wrap=True, style="red")
     sys.exit(code)

@@ -92,9 +92,7 @@ def decode(
     asked = cast("Layers", layers), cast("Frame", frame)
     with Archive.open(archive, threads or cores(), *asked) as opened:
         count = 0
-        for path in export(
-            opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True, markup=False)
-        ):
+        for path in export(opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True)):
             count += 1
             folder = path.parent
         if not count:
@@ -262,6 +260,6 @@ def inspect(
         typer.echo(json.dumps(found, indent=1, default=str))
         return
     if found["kind"] == "shard":
-        show_shard(found, Console(emoji=False))
+        show_shard(found, Console(emoji=False, markup=False))
     else:
-        show_archive(found, Console(emoji=False), scans)
+        show_archive(found, Console(emoji=False, markup=False), scans)

@@ -60,7 +60,7 @@ def diff(
         way = f"{row['way_m']:.1f}" if "way_m" in row else "-"
         table.add_row(row["change"], str(row["object"]), row["class"], str(row["voxels"]), *middle, way)
     if summary["changes"]:
-        Console(emoji=False).print(table)
+        Console(emoji=False, markup=False).print(table)
     objects, unseen = summary["objects"], summary["voxels"]["after"]["not_seen_by_the_other"]
     more = max(0, len(summary["changes"]) - _SHOWN)
     typer.echo(

@@ -350,7 +350,7 @@ def _show_trials(trials: list[dict[str, Any]], chosen: dict[str, Any]) -> None:
         table.add_row(
             str(trial["views"]), f"{trial['per_meeting']:g}", f"{trial['margin']:g}", *figures, taken
         )
-    Console(emoji=False).print(table)
+    Console(emoji=False, markup=False).print(table)
 
 
 def _show(rows: list[dict[str, object]]) -> None:
@@ -362,7 +362,7 @@ def _show(rows: list[dict[str, object]]) -> None:
         figures = [row[m] for m in measures]
         cells = ["-" if v is None else f"{float(str(v)):.4f}" for v in figures]
         table.add_row(str(row["truth"]), str(row["cleaner"]), *cells)
-    Console(emoji=False).print(table)
+    Console(emoji=False, markup=False).print(table)
 
 
 def show(out: Path) -> None:

@@ -79,12 +79,12 @@ def find(
             typer.echo(line)
         STDERR.print(f"{len(found):,} of {len(catalogue):,} scans", highlight=False)
         for line in not_known(catalogue, condition):
-            STDERR.print(f"note: {line}", soft_wrap=True, markup=False, highlight=False)
+            STDERR.print(f"note: {line}", soft_wrap=True, highlight=False)
     if export is not None and len(found):
         from salpcc.pipeline.find.export_found import export_found
 
         for path, counts in export_found(found, folder, export):
-            STDERR.print(f"{path}: {counts.told}", soft_wrap=True, markup=False, highlight=False)
+            STDERR.print(f"{path}: {counts.told}", soft_wrap=True, highlight=False)
 
 
 def _lines(found: pa.Table, columns: list[str]) -> list[str]:
@@ -177,7 +177,7 @@ def mount(
     require("files", "mount")
     from salpcc.pipeline.files.mount import mount as mount_archives
 
-    STDERR.print(f"{archives} is {folder} until Ctrl-C or `umount {folder}`", soft_wrap=True, markup=False)
+    STDERR.print(f"{archives} is {folder} until Ctrl-C or `umount {folder}`", soft_wrap=True)
     mount_archives(archives, folder, cast("Layers", layers))
 
 
@@ -214,7 +214,7 @@ def view(
 
     chosen = cast("Layers", layers), parse_frames(frames), against
     if web:
-        view_in_browser(path, *chosen, partial(STDERR.print, soft_wrap=True, markup=False, highlight=False))
+        view_in_browser(path, *chosen, partial(STDERR.print, soft_wrap=True, highlight=False))
         return
     scans = view_scans(path, *chosen, save)
     typer.echo(f"{scans} scan{'' if scans == 1 else 's'}" + (f": {save}" if save else ""))

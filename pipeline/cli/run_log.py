@@ -107,15 +107,14 @@ def log(
     with starting():
         from salpcc.pipeline.run import RunRequest
         from salpcc.pipeline.sensors.choose_sensor import AUTO, choose_sensor
-        from salpcc.schemas.file_kind import kind_of
         from salpcc.stages.evaluate.baselines import names as baseline_names
-        from salpcc.stages.ingest.sources.bag import Bag
+        from salpcc.stages.ingest.sources.bag import Bag, no_log
 
     if not file.exists():
         raise UsageError(f"{file}: not found. {Bag.hint}")
     names = Bag().sequences(file)
     if not names:
-        raise UsageError(f"{file}: {kind_of(file)}, no log that is read here. {Bag.hint}")
+        raise UsageError(no_log(file))
     if len(names) > 1:
         raise UsageError(
             f"{file}: a folder of logs, and no bag without metadata.yaml; name one of {', '.join(names)}, "
@@ -130,7 +129,7 @@ def log(
             else f"sensor: no shipped model fits; `salpcc-pipeline calibrate {file} --out sensor.json` may find one"
         )
         if share is not None:
-            STDERR.print(told, soft_wrap=True, markup=False, style="dim")
+            STDERR.print(told, soft_wrap=True, style="dim")
     config = config_of(
         source=Bag.name,
         **parse_errors(max_error),

@@ -32,14 +32,14 @@ def execute(request: RunRequest, json_: bool) -> None:
 def _show(result: RunResult, out: Path, json_: bool, names: list[str], seconds: float) -> None:
     """Print what a run of the sequences ``names`` gave."""
     for error in result.errors:
-        STDERR.print(f"failed: {error.sequence}/{error.scan}: {error.reason}", soft_wrap=True, markup=False)
+        STDERR.print(f"failed: {error.sequence}/{error.scan}: {error.reason}", soft_wrap=True)
     if result.report is None:
         STDERR.print(f"stopped as asked; shards are in {out / 'shards'}", soft_wrap=True)
         return
     if json_:
         sys.stdout.write((out / "report" / "report.json").read_text())
         return
-    console = Console(emoji=False)
+    console = Console(emoji=False, markup=False)
     table = Table(title="bits per input point", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
     for column in (
         "sequence",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -61,7 +60,7 @@ def list_side(source: str, root: Path, sequence: str, scans: Iterable[ScanRef]) 
     refs = list(scans)
     coded = {ref.path for ref in refs} | {ref.labels for ref in refs}
     found: list[SideRef] = []
-    behind: Counter[str] = Counter()
+    behind: dict[str, list[str]] = {}  # names, by what they begin with
     total = 0
     for name, path, size in walk(folder):
         if str(path) in coded:
@@ -69,11 +68,14 @@ def list_side(source: str, root: Path, sequence: str, scans: Iterable[ScanRef]) 
         total += size
         if path.suffix.lower() in _BINARY or size > MOST_BYTES or total > _MOST_IN_ALL or not _good(name):
             total -= size
-            behind[name.partition("/")[0]] += 1
+            behind.setdefault(name.partition("/")[0], []).append(name)
         else:
             found.append(SideRef(name, str(path)))
     if behind:
-        what = ", ".join(f"{name} ({n} files)" if n > 1 else name for name, n in sorted(behind.items()))
+        what = ", ".join(
+            f"{start} ({len(names)} files)" if len(names) > 1 else names[0]
+            for start, names in sorted(behind.items())
+        )
         warnings.warn(f"{folder}: no small text, so it stays behind: {what}", LogWarning, stacklevel=2)
     return tuple(found)
 

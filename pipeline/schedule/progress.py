@@ -17,7 +17,7 @@ from rich.progress import (
 
 from salpcc.stages import kernels_are_kept
 
-STDERR = Console(stderr=True, highlight=False, emoji=False)  # a file may be named :b:
+STDERR = Console(stderr=True, highlight=False, emoji=False, markup=False)  # a file may be named :b: or [/b]
 
 
 class Report(Protocol):
@@ -51,7 +51,7 @@ class _Bar:
         self._progress.update(self._task, advance=scans, description=doing)
 
     def say(self, line: str) -> None:
-        self._progress.console.print(line, soft_wrap=True, markup=False)
+        self._progress.console.print(line, soft_wrap=True)
 
 
 @contextmanager
@@ -69,7 +69,7 @@ def bar(total: int, unit: str, quiet: bool = False) -> Iterator[Report]:
         return
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(20),
         TextColumn(f"{{task.completed:.0f}} of {{task.total:.0f}} {unit},"),
         TimeRemainingColumn(),

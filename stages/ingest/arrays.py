@@ -123,13 +123,22 @@ def float32(values: Any, what: str) -> NDArray[np.float32]:
     return narrow
 
 
+def _narrower(array: NDArray[Any]) -> str:
+    """Say what makes a field of an array of another type, and loses nothing."""
+    if array.dtype.kind not in "biu":
+        return ".astype(numpy.float32), say"
+    for name in ("uint8", "uint16", "int16", "uint32", "int32"):
+        if array.size == 0 or (np.iinfo(name).min <= array.min() and array.max() <= np.iinfo(name).max):
+            return f".astype(numpy.{name}), say"
+    return ".view(numpy.uint32).reshape(len(…), -1) has all of its bits"
+
+
 def _field(values: Any, n_points: int, what: str) -> NDArray[Any]:
     array = array_of(values)
     if array.ndim not in (1, 2) or len(array) != n_points or 0 in array.shape[1:]:
         raise KindError(f"{what} of shape {array.shape} for {n_points} points; it is (N,) or (N, k)")
     if array.dtype.str[1:] not in _DATATYPES:
         raise KindError(
-            f"{what} of type {array.dtype}; a field is of 8 to 32 bits, or float64: "
-            f".astype(numpy.{'uint8' if array.dtype.kind == 'b' else 'float32'}), say"
+            f"{what} of type {array.dtype}; a field is of 8 to 32 bits, or float64: {_narrower(array)}"
         )
     return array

@@ -66,8 +66,11 @@ def test_tensors_are_arrays(points: np.ndarray, tmp_path: Path) -> None:
         ({"intensity": np.zeros(4)}, r"intensity of shape \(4,\) for 5 points"),
         ({"ring": np.zeros(4, np.uint8)}, r"ring of shape \(4,\) for 5 points"),
         ({"ring": np.zeros((5, 2, 2), np.uint8)}, "ring of shape"),
-        ({"ring": np.zeros(5, np.int64)}, r"ring of type int64.*astype"),
+        ({"ring": np.zeros(5, np.int64)}, r"ring of type int64.*astype\(numpy.uint8\)"),
+        ({"ring": np.arange(5) - 40_000}, r"astype\(numpy.int32\)"),
+        ({"time": np.full(5, 1 << 60)}, r"view\(numpy.uint32\).* all of its bits"),
         ({"flag": np.zeros(5, np.bool_)}, r"flag of type bool.*uint8"),
+        ({"ring": np.zeros(5, np.float16)}, r"astype\(numpy.float32\)"),
         ({"ring": torch.zeros(5, dtype=torch.bfloat16)}, "is no array"),
     ],
 )

@@ -231,6 +231,31 @@ def test_a_log_comes_back_byte_for_byte(
         list(EXPORTS["bag" if ros1 else "mcap"](archive, iter(archive), tmp_path))
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("bare", "mcap recover"), ("ros1", "rosbag reindex"), ("sqlite", "sqlite3 FILE .recover")],
+)
+def test_a_log_that_was_cut_off_says_what_mends_it(
+    name: str, remedy: str, logs: Path, tmp_path: Path
+) -> None:
+    source = find_log(logs, name)
+    source = next(source.glob("*.db3")) if source.is_dir() else source
+    cut = tmp_path / source.name
+    cut.write_bytes(source.read_bytes()[: source.stat().st_size // 2])
+    with pytest.raises(SourceError, match=f"{cut}: .*`{remedy}`"):
+        read(cut)
+
+
+@pytest.mark.parametrize(("name", "suffix"), [("bare", "mcap"), ("ros1", "bag")])
+def test_a_log_of_another_name_is_told_which_one_it_needs(
+    name: str, suffix: str, logs: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / f"drive.{suffix.upper()}"
+    shutil.copy(find_log(logs, name), other)
+    with pytest.raises(SourceError, match=rf"but its name does not end in \.{suffix}; rename it"):
+        find_log(other, "drive")
+
+
 def facts(schema: Schema | None, channel: Channel, message: Message) -> tuple[object, ...]:
     told = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
     times = message.log_time, message.publish_time, message.sequence

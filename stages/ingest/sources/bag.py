@@ -302,8 +302,17 @@ def find_log(root: Path, sequence: str) -> Path:
     if found:
         return found[0]
     if root.is_file():
-        raise SourceError(f"{root}: {kind_of(root)}, no log that is read here. {Bag.hint}")
+        raise SourceError(no_log(root))
     raise SourceError(f"{root / sequence}: not found. {Bag.hint}")
+
+
+def no_log(path: Path) -> str:
+    """Say why something that is there is no log: it has another name than logs of its kind have, or is something else."""
+    kind = kind_of(path)
+    suffix = {"an MCAP file": ".mcap", "a ROS 1 bag": ".bag", "an SQLite file": ".db3"}.get(kind)
+    if suffix is None:
+        return f"{path}: {kind}, no log that is read here. {Bag.hint}"
+    return f"{path}: {kind}, but its name does not end in {suffix}; rename it"
 
 
 def _is_log(path: Path) -> bool:

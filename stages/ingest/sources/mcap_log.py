@@ -163,7 +163,7 @@ class McapLog:
         path = self._plain.paths[number]
         with self._failing(number), reading(path) as file:
             if file.read(len(_MAGIC)) != _MAGIC:
-                raise ValueError(f"{kind_of(path)}, not an MCAP file")
+                raise SourceError(f"{self.files[number]}: {kind_of(path)}, not an MCAP file")
             ended = False
             foreign: Counter[int] = Counter()
             for opcode, at, length in top_records(file, path.stat().st_size, len(_MAGIC)):
@@ -172,14 +172,14 @@ class McapLog:
                 if ended or opcode not in wanted:
                     continue
                 if length > MAX_RECORD:
-                    raise ValueError(
-                        f"the record at byte {at} has {length} bytes, more than {MAX_RECORD} are not read"
+                    raise SourceError(
+                        f"{self.files[number]}: the record at byte {at} has {length} bytes, more than {MAX_RECORD} are not read"
                     )
                 file.seek(at)
                 yield opcode, at, file.read(length)
             self._foreign[number] = +foreign
             if not ended:
-                raise ValueError("ends early: no end of its data; `mcap recover` mends it")
+                raise ValueError("ends early: no end of its data")
 
     @contextmanager
     def _failing(self, number: int) -> Iterator[None]:
@@ -189,7 +189,7 @@ class McapLog:
         except OSError as error:
             raise SourceError(f"{self.files[number]}: {why(error)}") from error
         except PARSE_ERRORS as error:
-            raise SourceError(f"{self.files[number]}: {error}") from error
+            raise SourceError(f"{self.files[number]}: {error}; `mcap recover` saves what is whole") from error
 
     def _record(
         self, number: int, opcode: int, content: bytes, at: tuple[int, ...], wanted: set[int]

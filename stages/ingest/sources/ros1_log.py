@@ -122,7 +122,7 @@ class Ros1Log:
             said = (
                 f"{kind}, not a ROS 1 bag"
                 if kind != "a ROS 1 bag"
-                else f"cannot be read as a ROS bag ({error or type(error).__name__})"
+                else f"cannot be read as a ROS bag ({error or type(error).__name__}); `rosbag reindex` mends one that was cut off"
             )
             raise SourceError(f"{self.path}: {said}") from error
 

@@ -167,7 +167,7 @@ class SqliteLog:
             said = (
                 f"{kind}, not an SQLite file"
                 if kind != "an SQLite file"
-                else f"cannot be read as a ROS 2 bag ({error})"
+                else f"cannot be read as a ROS 2 bag ({error}); `sqlite3 FILE .recover` saves what is whole"
             )
             raise SourceError(f"{self.files[number]}: {said}") from error
 

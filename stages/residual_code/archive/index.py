@@ -11,7 +11,7 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, ChunkIndex, Footer, Metadata, MetadataIndex, Schema
 
-from salpcc.schemas.errors import ArchiveError, SalpccError
+from salpcc.schemas.errors import ArchiveError, DamagedError, SalpccError
 from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.log import LogChannel
 from salpcc.schemas.mcap_chunks import records, stream
@@ -131,13 +131,14 @@ def _no_archive(path: Path) -> str:
 
 def _summary(file: RecordFile) -> tuple[bytes, int]:
     """The summary section, its CRC checked, and the byte at which the data section ends."""
-    head, tail = file.bytes_at(0, len(MAGIC)), file.bytes_at(file.size - len(MAGIC), len(MAGIC))
+    short = min(len(MAGIC), file.size)
+    head, tail = file.bytes_at(0, short), file.bytes_at(file.size - short, short)
     if head != MAGIC:
         raise ArchiveError(
             f"{file.path}: {kind_of(file.path)}, not an archive of salpcc-pipeline (those are OUT/archives/SEQ.mcap)"
         )
     if tail != MAGIC:
-        raise ArchiveError(f"{file.path}: truncated, the end of the file is missing")
+        raise DamagedError(f"{file.path}: truncated, the end of the file is missing")
     footer_at = file.size - len(MAGIC) - _FOOTER_BYTES
     footer = Footer.read(file.record(footer_at, Opcode.FOOTER))
     summary = file.bytes_at(footer.summary_start, footer_at - footer.summary_start)
@@ -145,7 +146,7 @@ def _summary(file: RecordFile) -> tuple[bytes, int]:
     if zlib.crc32(covered, zlib.crc32(summary)) != footer.summary_crc:
         if footer.summary_crc == 0:  # ours have one
             raise ArchiveError(_no_archive(file.path))
-        raise ArchiveError(f"{file.path}: CRC of the summary does not match, the file is damaged")
+        raise DamagedError(f"{file.path}: CRC of the summary does not match, the file is damaged")
     return summary, footer.summary_start - 9 - 4
 
 

@@ -16,7 +16,7 @@ from mcap.records import (
     MetadataIndex,
 )
 
-from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.errors import ArchiveError, DamagedError
 from salpcc.schemas.files import location, reading, why
 from salpcc.schemas.log import Enclosed, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, read_chunk, records, stream
@@ -139,12 +139,12 @@ class ArchiveReader:
         try:
             chunk = Chunk.read(self._file.record(at.chunk_start_offset, Opcode.CHUNK))
             if chunk.compression or zlib.crc32(chunk.data) != chunk.uncompressed_crc:
-                raise ArchiveError(f"{where}: CRC mismatch, the file is damaged")
+                raise DamagedError(f"{where}: CRC mismatch, the file is damaged")
             found = [content for opcode, _, content in records(chunk.data) if opcode == Opcode.MESSAGE]
             messages = [Message.read(stream(content), len(content)) for content in found]
             clouds = [CloudMessage.from_cdr(message.data, compressed=True) for message in messages]
         except PARSE_ERRORS as error:
-            raise ArchiveError(f"{where}: damaged ({error})") from error
+            raise DamagedError(f"{where}: damaged ({error})") from error
         of_labels = [message.channel_id in self._index.label_channels for message in messages]
         scans = [place for place, behind in enumerate(of_labels) if not behind]
         if len(scans) != len(entries):
@@ -258,4 +258,4 @@ class ArchiveReader:
                 left -= len(block)
         # The record has no checksum of its own, so all of it is compared.
         if self._file.bytes_at(self._index.data_end, 13) != struct.pack("<BQI", Opcode.DATA_END, 4, crc):
-            raise ArchiveError(f"{self.path}: CRC of the data section does not match, the file is damaged")
+            raise DamagedError(f"{self.path}: CRC of the data section does not match, the file is damaged")

@@ -10,7 +10,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex
 
-from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.errors import ArchiveError, DamagedError
 from salpcc.schemas.files import read_at
 from salpcc.schemas.mcap_chunks import stream
 
@@ -31,7 +31,7 @@ class RecordFile:
     def bytes_at(self, at: int, length: int) -> bytes:
         """Return bytes of the file; raises ArchiveError where they do not lie in it."""
         if at < 0 or length < 0 or at + length > self.size:
-            raise ArchiveError(
+            raise DamagedError(
                 f"{self.path}: truncated or damaged, wants bytes {at} to {at + length} of {self.size}"
             )
         return read_at(self.path, at, length)
@@ -51,5 +51,5 @@ class RecordFile:
         """Return an attachment; raises ArchiveError where its CRC does not match."""
         raw = self.content(at.offset, Opcode.ATTACHMENT)
         if zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
-            raise ArchiveError(f"{self.path}: CRC of {at.name} does not match, the file is damaged")
+            raise DamagedError(f"{self.path}: CRC of {at.name} does not match, the file is damaged")
         return Attachment.read(stream(raw))

@@ -73,11 +73,13 @@ class Salvage:
         """
         self.path = location(path)
         self.notes: list[str] = []
+        kind = kind_of(self.path)
+        if kind == "an empty file":
+            raise ArchiveError(f"{self.path}: {kind}, nothing of an archive is in it")
         try:
             self._data = mapped(self.path)
         except (OSError, ValueError) as error:
             raise ArchiveError(f"{self.path}: {why(error)}") from error
-        kind = kind_of(self.path)
         if kind == "a text file" or all(self._data.find(name) < 0 for name in _TRACES):
             raise ArchiveError(
                 f"{self.path}: {kind}, and nothing in it is of an archive of salpcc-pipeline "

@@ -239,6 +239,26 @@ def test_what_is_no_archive_is_one_line_and_exit_code_1(tmp_path: Path, content:
     assert result.returncode == 1 and "x.mcap" in error_of(result)
 
 
+def test_what_is_damaged_can_be_recovered_and_that_is_said(tmp_path: Path) -> None:
+    whole = (Path(__file__).parents[2] / "golden" / "fast_exact.mcap").read_bytes()
+    (tmp_path / "x.mcap").write_bytes(whole[:-20])
+    result = cli("inspect", tmp_path / "x.mcap")
+    assert result.returncode == 1 and "`salpcc-pipeline recover` saves what is whole" in error_of(result)
+
+
+def test_names_are_shown_as_they_are(toy_root: Path, tmp_path: Path) -> None:
+    """Whatever is in brackets, which is markup elsewhere."""
+    odd = tmp_path / "a [" / "b] [dim].mcap"
+    odd.parent.mkdir()
+    shutil.copy(Path(__file__).parents[2] / "golden" / "fast_exact.mcap", odd)
+    assert "b] [dim].mcap" in cli("inspect", "b] [dim].mcap", cwd=odd.parent).stdout
+    out = tmp_path / "[" / "b]"
+    result = cli(
+        "run", "sequences", "01", "--root", toy_root, "--keep-movable", "--to", "ingest", "--out", out
+    )
+    assert result.returncode == 0 and f"shards are in {out}" in result.stderr
+
+
 @pytest.mark.parametrize(
     "command",
     [

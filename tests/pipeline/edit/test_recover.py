@@ -143,6 +143,11 @@ def test_nothing_left_is_an_error_and_no_file(data: bytes, bad: Path) -> None:
         assert not bad.with_name("new.mcap").exists()
 
 
+def test_an_empty_file_is_called_so(bad: Path) -> None:
+    with pytest.raises(ArchiveError, match=r"00\.mcap: an empty file"):
+        rescue(bad, b"")
+
+
 @pytest.mark.parametrize("index", ["index", "no index"])
 def test_any_damage_costs_its_own_scans_only(data: bytes, whole: Path, bad: Path, index: str) -> None:
     """A bit anywhere: what comes back is what went in, and all that does not is named or told of."""

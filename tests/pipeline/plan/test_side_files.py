@@ -206,7 +206,7 @@ def test_what_is_no_small_text_stays_behind_and_is_told(
     with pytest.warns(LogWarning) as said:
         run(mine, tmp_path / "out", "00", **LAYERED)
     told = " ".join(str(warning.message) for warning in said)
-    assert "image_2 (2 files), labels, table.bin" in told and "odd.txt: no text" in told
+    assert "image_2 (2 files), labels/000099.label, table.bin" in told and "odd.txt: no text" in told
     assert "hidden" not in told
     assert sorted(ArchiveReader(tmp_path / "out/archives/00.mcap").side) == sorted(
         ["calib.txt", "empty.txt", "notes/réadme.md", "poses.txt", "times.txt"]

@@ -21,7 +21,7 @@ from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.shards import list_array
 
 _MOST_POINTS = 40_000  # what of a scan is drawn: half a megabyte of the page
-_FARTHEST = 32_000  # centimetres
+_FARTHEST = 320  # metres; centimetres are stored in 16 bits
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def scene_of(metrics: pa.Table) -> Scene | None:
     chosen = sound[:: -(-len(sound) // _MOST_POINTS) or 1]
     if not len(chosen):
         return None
-    cells = np.clip(np.rint(100 * points[chosen]), -_FARTHEST, _FARTHEST).astype(np.int64)
+    cells = np.rint(100 * np.clip(points[chosen], -_FARTHEST, _FARTHEST)).astype(np.int64)
     columns = [np.diff(cells[:, axis], prepend=0).astype("<i2").tobytes() for axis in range(3)]
     told: dict[str, Any] = {"points": len(chosen), "columns": []}
     for name, unit, scale in (("intensity", "", 1.0), ("error_m", "mm", 1e3)):
