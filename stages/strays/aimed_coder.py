@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
-from salpcc.stages.strays.aimed_neighbours import above_and_below, guess_inverse, link, short_way
+from salpcc.stages.strays.aimed_neighbours import (
+    above_and_below,
+    around,
+    guess_inverse,
+    link,
+    link_beside,
+    short_way,
+)
 from salpcc.stages.strays.aimed_symbols import (
     AIMED,
     CLASSES,
@@ -238,10 +245,14 @@ def code_aimed(  # type: ignore[no-untyped-def]
             # The count.
             azimuth[i] = tick[i] + phase[k]
             place = ends[k, 1]
+            second, least, way = links[place, 0] if place >= 0 else -1, 0.0, -1
+            if learned is not None and learned.shuffled and place >= 0:
+                place, second, way = around(azimuth[i], place, ticks, azimuth, links)
+                least = -1.0
             upper = above_and_below(i, k, above[k], 0, ticks, azimuth, inverse, links, ends, cursor, beside)
             lower = above_and_below(i, k, below[k], 1, ticks, azimuth, inverse, links, ends, cursor, beside)
             r, spread, apart = guess_inverse(
-                i, place, upper, lower, ticks, azimuth, inverse, links, beside, errors, guess
+                i, place, second, least, upper, lower, ticks, azimuth, inverse, beside, errors, guess
             )
             unit = count_size * step
             d0 = parameters[k, 4]
@@ -271,7 +282,10 @@ def code_aimed(  # type: ignore[no-untyped-def]
             inverse[i] = 1.0 / d
             for p in range(PREDICTORS):
                 errors[i, p] = np.uint16(min(abs(guess[p] * d - 1.0), 1.0) * 65535.0)
-            link(i, k, links, ends)
+            if way >= 0:
+                link_beside(i, k, place, way, links, ends)
+            else:
+                link(i, k, links, ends)
         if moving:
             x, y, z = moved(x, y, z, place_of[i], m)
         if exact:

@@ -23,6 +23,42 @@ def link(i: int, k: int, links: NDArray[np.int64], ends: NDArray[np.int64]) -> N
     ends[k, 1] = i
 
 
+@njit(cache=True, error_model="numpy", _nrt=False)
+def around(here: float, last: int, ticks: int, azimuth: NDArray[np.float64], links: NDArray[np.int64]):  # type: ignore[no-untyped-def]
+    """Of the points of a laser, whose rings are in the order of azimuths, find the one nearest to ``here``, and where a new one goes.
+
+    Returns:
+        the nearest; its neighbour beyond ``here``, or else the one on this side; the way (0, 1) from the nearest on which a point here goes.
+    """
+    at, off = last, _apart(here, azimuth[last], ticks)
+    for way in (1, 0):
+        for _ in range(_STEPS):
+            step = links[at, way]
+            nearer = _apart(here, azimuth[step], ticks)
+            if not abs(nearer) < abs(off):
+                break
+            at, off = step, nearer
+    for way in (1, 0):
+        beyond = _apart(here, azimuth[links[at, way]], ticks)
+        if off * beyond < 0.0 and abs(beyond) < _NEAR * ticks:
+            return at, links[at, way], way
+    gap = np.int64(
+        abs(_apart(azimuth[at], azimuth[links[at, 1]], ticks))
+        >= abs(_apart(azimuth[at], azimuth[links[at, 0]], ticks))
+    )
+    return at, links[at, 1 - gap], gap
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
+def link_beside(i: int, k: int, at: int, way: int, links: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
+    """Put point i among those of laser k next to the one ``at``, on the ``way`` of :func:`around`."""
+    beyond = links[at, way]
+    links[i, 1 - way], links[i, way] = at, beyond
+    links[at, way] = i
+    links[beyond, 1 - way] = i
+    ends[k, 1] = i
+
+
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def short_way(ticks: int, turn: int) -> int:
     """Whole ticks, of so many in a turn, the short way round."""
@@ -83,10 +119,15 @@ def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cur
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
-def guess_inverse(i, place, upper, lower, ticks, azimuth, inverse, links, beside, errors, guess):  # type: ignore[no-untyped-def]
+def guess_inverse(  # type: ignore[no-untyped-def]
+    i, place, before, least, upper, lower, ticks, azimuth, inverse, beside, errors, guess
+):  # fmt: skip
     """Fill the guesses of 1/d of point i; return the distance they make together, how far it may be off, and how far apart they are.
 
-    ``place``: the last point of the same laser; ``upper``, ``lower``: the nearest of its neighbours; -1: none.
+    Args:
+        place: the last point of the same laser, or the nearest; ``before``: the one before that, or beyond. From the two it goes straight on, by more than ``least`` of
+            the way between them: 0, or -1 where it may be between them.
+        upper, lower: the nearest of the laser's neighbours; -1: none.
     """
     if place >= 0:
         near = inverse[place]
@@ -98,11 +139,10 @@ def guess_inverse(i, place, upper, lower, ticks, azimuth, inverse, links, beside
         near = 0.1
     guess[:] = near
     if place >= 0:
-        before = links[place, 0]
         went = _apart(azimuth[place], azimuth[before], ticks)
         goes = _apart(azimuth[i], azimuth[place], ticks)
         ratio = goes / went if went != 0.0 else 0.0
-        if 0.0 < ratio < 2.5:
+        if least < ratio < 2.5:
             guess[1] = near + (near - inverse[before]) * ratio
     for side in range(2):
         value = beside[i, side]

@@ -1,6 +1,6 @@
 """Strays on the lattice of the archive's sensor model, and those off it on rays as ever: form AIMED of :mod:`.stray_coder`.
 
-Body: form of the corrections (ALONG: none) and 16 times the number of what was learned (:mod:`.learned`; 0: nothing) in a uint8, counts per level, points off the lattice, bytes of the walk (uint32 each); the walk
+Body: form of the corrections (ALONG: none), 8 where points of a laser are shuffled, and 16 times the number of what was learned (:mod:`.learned`; 0: nothing) in a uint8, counts per level, points off the lattice, bytes of the walk (uint32 each); the walk
 of :mod:`.aimed_coder`; the stream of :mod:`.stray_coder` of the points off the lattice, if there are any.
 """
 
@@ -19,6 +19,7 @@ from salpcc.stages.strays.aimed_stream import (
     EXACT_REACH,
     Aimed,
     Way,
+    is_shuffled,
     put,
     read_aimed,
     settle,
@@ -40,6 +41,7 @@ _FEWEST = 500
 _LEAST_SHARE = 0.5  # of the points that must lie on the lattice
 _TRIED = 1 << 13  # points
 _LARGEST_STEP = 1 << 16
+_SHUFFLED = 8  # of the form
 
 Motion = NDArray[np.float64] | None
 Array = NDArray[np.uint8]
@@ -92,7 +94,7 @@ def choose(
         aimed = settle(aimed, points, sensor, way, max_error)
         if (aimed.kinds != OFF).mean() < _LEAST_SHARE:  # they would not be found there again
             return None
-    return replace(way, learned=learned), aimed
+    return replace(way, learned=learned, shuffled=learned is not None and is_shuffled(aimed, sensor)), aimed
 
 
 def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
@@ -117,7 +119,7 @@ def write_body(
         return None
     off = aimed.kinds == OFF
     number = 0 if way.learned is None else way.learned.number
-    head = _BODY.pack(way.form + (number << 4), way.step, int(off.sum()), written)
+    head = _BODY.pack(way.form + _SHUFFLED * way.shuffled + (number << 4), way.step, int(off.sum()), written)
     return (
         head + out[:written].tobytes() + (write_rest(np.ascontiguousarray(points[off])) if off.any() else b"")
     )
@@ -142,7 +144,7 @@ def read_body(
         return nothing
     form, step, off, length = _BODY.unpack(data[: _BODY.size].tobytes())
     end = _BODY.size + length
-    form, number = form & 15, form >> 4
+    shuffled, form, number = bool(form & _SHUFFLED), form & 7, form >> 4
     if form > BITS or not 1 <= step <= _LARGEST_STEP or off > n or end > len(data):
         return nothing
     if (
@@ -151,11 +153,11 @@ def read_body(
         or (motion is not None and s is None and layout[0] < 2)
     ):
         return nothing
-    if number and lists is None:
+    if (number and lists is None) or (shuffled and not number):
         return nothing
     moved = None if motion is None else tuple(motion.tolist())
     learned = lists.of_number(number) if lists is not None and number else None
-    way = Way(layout, form, per, form != ALONG, step, moved, s, clock, learned)
+    way = Way(layout, form, per, form != ALONG, step, moved, s, clock, learned, shuffled)
     aimed, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]))
     if learned is not None:
         learned.settle()

@@ -27,6 +27,8 @@ EXACT_REACH = 0.005  # metres; what is farther from the lattice costs less off i
 _ROUNDING = 1e-5  # metres, more than float32 rounds points by
 _SLACK = 1e-4  # metres of an allowed error that are left to what the model is off by
 
+_TO_AND_FRO = 0.1
+
 I64 = NDArray[np.int64]
 
 
@@ -49,7 +51,7 @@ class Way:
     """How points are coded: the layout, form and units of corrections, counts per level, and the ``motion`` that moved them.
 
     ``s``: of each point ``(S,)`` where times tell it, by the ``clock``; else it follows from the place in the list. ``learned``: of such lists before,
-    for efforts above ``fast``.
+    for efforts above ``fast``; ``shuffled``: then points of a laser are put in the order of their azimuths.
     """
 
     layout: Layout
@@ -61,6 +63,7 @@ class Way:
     s: NDArray[np.float64] | None = None
     clock: Clock | None = None
     learned: Learned | None = None
+    shuffled: bool = False
 
     def places(self, n: int) -> NDArray[np.float64]:
         """Return s of ``n`` points."""
@@ -99,6 +102,17 @@ def put(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
     moved[kinds == AIMED] = model[kinds == AIMED]
     moved[kinds == ZERO] = origin[kinds == ZERO]
     return Aimed(moved, kinds, known, tick, level)
+
+
+def is_shuffled(aimed: Aimed, sensor: SensorModel) -> bool:
+    """Whether lasers go to and fro: more than a tenth of their points come against the way that most go."""
+    on = np.flatnonzero(aimed.kinds == AIMED)
+    on = on[np.argsort(aimed.laser[on], kind="stable")]
+    ticks = sensor.ticks_per_turn
+    went = (np.diff(aimed.tick[on]) + ticks // 2) % ticks - ticks // 2
+    went = went[(np.diff(aimed.laser[on].astype(np.int64)) == 0) & (went != 0)]
+    back = np.count_nonzero(went < 0)
+    return bool(min(back, len(went) - back) > _TO_AND_FRO * len(went))
 
 
 def settle(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, max_error: float) -> Aimed:
@@ -182,7 +196,7 @@ def _code(
             known = aimed.kinds, aimed.laser, aimed.tick, aimed.level
             passing = Passing(*known, np.array(way.motion), way.clock)
         own = Turn(room.azimuth, room.inverse, room.links, room.ends, np.zeros(0, np.int64))
-        learned = way.learned.walk(own, passing, sensor)
+        learned = way.learned.walk(own, passing, sensor, way.shuffled)
     code_aimed(
         writing, points, aimed.kinds, aimed.laser, aimed.tick, aimed.level, *way.layout, way.form, float(way.per), way.exact,
         way.step, reach, _tables(sensor), motion, new_models(), room, learned, state, data,

@@ -41,12 +41,13 @@ class Known(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """What :func:`.aimed_coder.code_aimed` takes: models, and what the scan shows."""
+    """What :func:`.aimed_coder.code_aimed` takes: models, and what the scan shows; ``shuffled``: points of a laser come in no order of azimuths, and are put in it."""
 
     order: OrderModels
     heard: OrderSeen
     counts: CountModels
     counted: CountSeen
+    shuffled: bool
 
 
 class RayWalk(NamedTuple):
@@ -65,7 +66,7 @@ class Learned:
         self._tried = self._known
         self.passed: Passed | None = None  # of the last walk
 
-    def walk(self, own: Turn, passing: Passing | None, sensor: SensorModel) -> Walk:
+    def walk(self, own: Turn, passing: Passing | None, sensor: SensorModel, shuffled: bool = False) -> Walk:
         """Begin a scan with copies of all that is known; ``own``, ``passing``: what it will tell the next one."""
         known = self._known
         order, counts = copied(known.order), copied(known.counts)
@@ -73,7 +74,7 @@ class Learned:
         seen = seen_later(known.passing, passing, sensor)
         counted = no_counts(len(own.azimuth), known.turn, seen)
         self.passed = Passed(known.lists + 1, counted.there)
-        return Walk(order, nothing_seen(), counts, counted)
+        return Walk(order, nothing_seen(), counts, counted, shuffled)
 
     def between(self, points: F64, laser: I64, origin: F64) -> NDArray[np.float32]:
         """Find the motion ``(6,)`` from the scan of rays before to points ``(N, 3)`` of lasers ``(N,)``, which a sensor at ``origin`` sees; zeros where there is none."""

@@ -86,7 +86,18 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
         upper = above_and_below(i, k, above[k], 0, TWO_PI, azimuth, inverse, links, ends, cursor, beside)
         lower = above_and_below(i, k, below[k], 1, TWO_PI, azimuth, inverse, links, ends, cursor, beside)
         r, spread, apart = guess_inverse(
-            i, place, upper, lower, TWO_PI, azimuth, inverse, links, beside, errors, guess
+            i,
+            place,
+            links[place, 0] if place >= 0 else -1,
+            0.0,
+            upper,
+            lower,
+            TWO_PI,
+            azimuth,
+            inverse,
+            beside,
+            errors,
+            guess,
         )
         axis = 0
         if abs(d[1]) > abs(d[0]):

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.strays import aimed_strays
 from salpcc.stages.strays.learned import MOST_LISTS, LearnedLists
 from salpcc.stages.strays.stray_coder import (
     AIMED,
@@ -74,6 +75,40 @@ def test_rows_of_an_organised_cloud(fan: SensorModel) -> None:
     scans = [turn(fan, seed, rows=True) for seed in range(2)]
     plain, learned = (written(scans, fan, 0.0, learns) for learns in (False, True))
     assert len(learned[1]) < len(plain[1])
+
+
+def form_of(data: bytes) -> int:
+    """The byte in which a stream says what its lists go on from."""
+    return data[13 + int.from_bytes(data[:4], "little")]
+
+
+def shuffled(points: Points) -> Points:
+    """Firings in the order of a driver that sends packets of three the last one first, and two packets of four late."""
+    size = LASERS * 12
+    whole = points[: len(points) // size * size].reshape(-1, 4, 3, LASERS, 3)
+    return np.ascontiguousarray(whole[:, [2, 3, 0, 1], ::-1].reshape(-1, 3))
+
+
+def test_lasers_that_go_to_and_fro_are_put_in_order(
+    fan: SensorModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    straight = [turn(fan, seed, rows=True) for seed in range(2)]
+    straight = [p.reshape(LASERS, FIRINGS, 3).transpose(1, 0, 2).reshape(-1, 3) for p in straight]
+    rng = np.random.default_rng(0)
+    seen = [rng.random(len(shuffled(p))) < 0.9 for p in straight]
+    scans = [shuffled(p)[s] for p, s in zip(straight, seen, strict=True)]
+    streams = written(scans, fan, 0.0, True)
+    assert [form_of(data) & 8 for data in streams] == [8, 8]
+    assert form_of(written([turn(fan, 0)], fan, 0.0, True)[0]) & 8 == 0
+    in_order = written([p[: len(s)][s] for p, s in zip(straight, seen, strict=True)], fan, 0.0, True)
+    assert [form_of(data) & 8 for data in in_order] == [0, 0]
+    monkeypatch.setattr(aimed_strays, "is_shuffled", lambda *_: False)
+    as_listed = written(scans, fan, 0.0, True)
+    assert len(streams[0]) < 0.95 * len(as_listed[0])
+    assert len(streams[1]) < 0.95 * len(as_listed[1])
+    cut = bytearray(streams[0])
+    cut[13 + int.from_bytes(cut[:4], "little")] = 8 + 2  # of nothing that was learned
+    assert not decode_strays(len(scans[0]), 0.0, np.frombuffer(cut, np.uint8), fan)[3]
 
 
 def test_other_points_and_dual_returns_come_back(fan: SensorModel) -> None:
