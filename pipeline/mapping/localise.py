@@ -61,6 +61,8 @@ def localise(request: LocaliseRequest) -> pa.Table:
         reader = ArchiveReader(path)
         by_sequence.setdefault(reader.facts.sequence, []).append(reader)
     stretches = [s for readers in by_sequence.values() for s in _stretches(readers, request)]
+    if not stretches:
+        raise UsageError(f"{request.archives[0]}: no two consecutive scans to register (--every?)")
     with ExitStack() as stack:
         stack.enter_context(locked(request.out))
         ShardStore(request.out).sweep()
@@ -99,6 +101,10 @@ def _stretches(readers: Sequence[ArchiveReader], request: LocaliseRequest) -> li
     facts = first.facts
     if facts.source not in SOURCES:
         raise UsageError(f"{first.path}: made from {facts.source}, there are no source scans to compare with")
+    if request.against.is_file():
+        raise UsageError(
+            f"{request.against}: no root of data, below which poses.txt lies; scans of a log are localised in maps, by --map"
+        )
     if not request.against.is_dir():
         raise UsageError(f"{missing_root(request.against, facts.source)} Pass its place to --against")
     names = [entry.name for gop in first.gops for entry in gop]

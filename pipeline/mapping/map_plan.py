@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.mapping.map_poses import given_poses
+from salpcc.pipeline.mapping.map_poses import given_poses, several_topics
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
@@ -69,7 +69,7 @@ def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
 
     Raises:
         UsageError: not one poses file for each archive.
-        SourceError: archives of different sensors, a scan that is in two of them, poses that are missing.
+        SourceError: archives of different sensors, or clouds of several sensors in one, a scan that is in two of them, poses that are missing.
         ArchiveError: an archive is damaged.
     """
     if not archives:
@@ -92,6 +92,11 @@ def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
             other = seen.setdefault((reader.facts.sequence, name), reader.path)
             if other is not reader.path:
                 raise SourceError(f"scan {name} is both in {other} and in {reader.path}; name one of them")
+        if by_odometry and several_topics(reader):
+            raise SourceError(
+                f"{reader.path}: clouds of several topics, which are no one drive; take one with cut --topic "
+                "(inspect lists them), or give --poses"
+            )
         placed = None if by_odometry else given_poses(sources[at], reader)
         if placed is not None:
             origin = origin_of(placed) if origin is None else origin

@@ -25,12 +25,14 @@ def given_poses(source: str, reader: ArchiveReader) -> F64:
     numbers; that of a map, with scans.txt beside it, by names; TUM's or EuRoC's, by times. Those with times are of the sensor.
 
     Raises:
-        SourceError: no such file, none of these, or one that does not cover all scans.
+        SourceError: no such file, none of these, or one that does not cover all scans; scans of several sensors, which poses of
+            one would place wrong.
     """
     names = [entry.name for gop in reader.gops for entry in gop]
     if not names:
         return np.empty((0, 4, 4))
-    if any(channel.topic == source for channel in reader.log.values()):
+    in_log = any(channel.topic == source for channel in reader.log.values())
+    if in_log or several_topics(reader):
         frames = {
             payload.frame_id.strip("/") for gop in range(len(reader.gops)) for payload in reader.payloads(gop)
         }
@@ -38,7 +40,8 @@ def given_poses(source: str, reader: ArchiveReader) -> F64:
             raise SourceError(
                 f"{reader.path}: scans of several sensors ({', '.join(sorted(frames))}); take the topic of one with cut --topic"
             )
-        return poses_in_log(source, reader.log, reader.passing(), frames.pop(), _instants(reader), names)
+        if in_log:
+            return poses_in_log(source, reader.log, reader.passing(), frames.pop(), _instants(reader), names)
     path = Path(source)
     if not path.is_file():
         topics = ", ".join(sorted({channel.topic for channel in reader.log.values()}))
@@ -53,6 +56,12 @@ def given_poses(source: str, reader: ArchiveReader) -> F64:
     if path.with_name("scans.txt").is_file():
         return _by_name(names, path)
     return poses_of(names, read_poses(path), path)
+
+
+def several_topics(reader: ArchiveReader) -> bool:
+    """Tell whether an archive holds clouds of several topics of a log; their names begin with the topic then."""
+    of_topics = {entry.name.rpartition("-")[0] for gop in reader.gops for entry in gop}
+    return bool(reader.log) and len(of_topics) > 1
 
 
 def _instants(reader: ArchiveReader) -> list[int]:

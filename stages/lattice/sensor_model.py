@@ -114,7 +114,9 @@ class SensorModel:
                 **{name: np.array([float(v) for v in numbers[name]], np.float64) for name in _PER_LASER},
             )
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise SensorError(f"not a sensor model: {error!r}") from error
+            raise SensorError(
+                f"not a sensor model: {type(error).__name__}: {' '.join(str(error).split())}"
+            ) from error
         sound = (
             1 <= model.n_lasers <= _MAX_LASERS
             and all(len(getattr(model, name)) == model.n_lasers for name in (*_PER_LASER, "shift"))

@@ -23,6 +23,7 @@ from salpcc.pipeline import Archive
 from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph.graph import GraphOptions
+from salpcc.pipeline.mapping.map_plan import plan_map
 from salpcc.pipeline.plan.plan import plan_run
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.pipeline.sensors.calibration import calibrate_log
@@ -229,6 +230,18 @@ def test_a_log_comes_back_byte_for_byte(
     assert read(path) == recorded[name]
     with pytest.raises(UsageError, match="exists, and may be the log itself"):
         list(EXPORTS["bag" if ros1 else "mcap"](archive, iter(archive), tmp_path))
+
+
+def test_clouds_of_several_sensors_make_no_map(coded: Path, tmp_path: Path) -> None:
+    """Neither odometry nor poses of one of them would place the others; what is written would look like a map."""
+    archive, poses = coded / "archives" / "bare.mcap", tmp_path / "poses.txt"
+    poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 9)
+    for given, said in (
+        ([], "clouds of several topics"),
+        ([str(poses)], r"several sensors \(map, organised"),
+    ):
+        with pytest.raises(SourceError, match=f"{said}.*cut --topic"):
+            plan_map([archive], given)
 
 
 @pytest.mark.parametrize(

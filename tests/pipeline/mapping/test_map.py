@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from salpcc.pipeline.archive import Archive
+from salpcc.pipeline.edit.cut import Selection, cut
 from salpcc.pipeline.encode import encode_scans
 from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.mapping import make_map as map_module
@@ -256,6 +257,17 @@ def test_a_map_of_counts_keeps_them(
         (record,) = [vlr for vlr in las.header.vlrs if vlr.record_id == 3]
         assert record.record_data_bytes().startswith(b"intensity: float32 counts as recorded")
     assert 100 < max(las.intensity.max() for las in tiles) <= 255
+
+
+def test_nothing_to_register_is_told(archive: Path, root: Path, tmp_path: Path) -> None:
+    one = tmp_path / "one.mcap"
+    cut(archive, one, Selection(frames=(0, 1)))
+    for archives, against, said in (
+        ([one], root, "no two consecutive scans"),
+        ([archive], one, "in maps, by --map"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            localise(LocaliseRequest(archives, against, tmp_path / "out", workers=0, quiet=True))
 
 
 @pytest.mark.usefixtures("open3d")
