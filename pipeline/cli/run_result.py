@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,11 +23,24 @@ if TYPE_CHECKING:
 def execute(request: RunRequest, json_: bool) -> None:
     """Run, print what it gave, leave with its exit code."""
     from salpcc.pipeline.run import run_sequences
+    from salpcc.stages.ingest.sources import SOURCES
 
     start = time.monotonic()
     result = run_sequences(request)
+    if SOURCES[request.config.source].passes:
+        _tell_passed(result)
     _show(result, request.out, json_, request.sequences, time.monotonic() - start)
     raise typer.Exit(1 if result.failed else 0)
+
+
+def _tell_passed(result: RunResult) -> None:
+    """Say what became of the clouds of a log that failed: they pass through, where there is an archive."""
+    written = result.report["sequences"] if result.report else {}
+    for name, count in Counter(error.sequence for error in result.errors if error.scan).items():
+        if name in written:
+            STDERR.print(
+                f"note: {name}: {count} that failed are in the archive as they were recorded", soft_wrap=True
+            )
 
 
 def _show(result: RunResult, out: Path, json_: bool, names: list[str], seconds: float) -> None:

@@ -827,6 +827,20 @@ def test_what_an_archive_cannot_hold_is_said_before_anything_is_written(
             assert any(line in one and one.startswith("note: ") for one in said.splitlines()), said
 
 
+def test_clouds_that_cannot_be_coded_are_kept_and_that_is_said(tmp_path: Path, command: "Command") -> None:
+    rows = drive()
+    rows[2] = replace(rows[2], data=rows[2].data[:-60])
+    path, out = tmp_path / "cut.mcap", tmp_path / "out"
+    write_mcap(path, rows)
+    code, said = command(
+        "run", "log", path, "--keep-movable", "--effort", "fast", "--workers", "0", "--out", out
+    )
+    assert code == 1 and "failed: cut/000001" in said
+    assert "note: cut: 1 that failed are in the archive as they were recorded" in said
+    verdict = verify(out / "archives" / "cut.mcap", path)
+    assert verdict.good and (verdict.scans, verdict.passed_messages) == (2, 4)
+
+
 # The wrong file
 
 
