@@ -30,7 +30,7 @@ from salpcc.pipeline.mapping.map_summary import (
 from salpcc.pipeline.mapping.map_tiles import TileResult
 from salpcc.pipeline.mapping.map_track import Track
 from salpcc.pipeline.mapping.map_tune import trials_to_json
-from salpcc.pipeline.mapping.map_write import Whole, write_track, write_whole
+from salpcc.pipeline.mapping.map_write import Whole, check_place, write_track, write_whole
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.lock import locked
 from salpcc.pipeline.schedule.progress import bar
@@ -53,9 +53,11 @@ def make_map(request: MapRequest) -> dict[str, Any]:
     """Make a map; return what ``OUT/map.json`` holds. A map that is there, made of the same, is left as it is.
 
     Raises:
-        UsageError, SourceError, ArchiveError: what is asked for cannot be; the message names file and scan.
+        UsageError, SourceError, ArchiveError: what is asked for cannot be; the message names file and scan. Or the folder holds
+            files of others that a map has, too.
         LockedError: another run is using the output folder.
     """
+    check_place(request.out)
     plan = plan_map(request.archives, request.poses)
     if request.crs:
         coordinate_system(request.crs)

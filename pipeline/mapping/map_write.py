@@ -18,6 +18,7 @@ from salpcc.pipeline.mapping.map_plan import F64, MapPlan
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
 from salpcc.pipeline.schedule.store import ShardStore
+from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic
 from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report.schema import PICTURES
@@ -44,13 +45,27 @@ class Whole:
     explained: bool
 
 
+def check_place(out: Path) -> None:
+    """Refuse a folder in which a map would take the place of files of the drive, such as its poses.
+
+    Raises:
+        UsageError: one is there, and the folder is no map's.
+    """
+    if not any((out / name).exists() for name in ("scans.txt", "map.json")):
+        for name in ("poses.txt", "map.mcap", "map.vpc"):
+            if (out / name).exists():
+                raise UsageError(
+                    f"{out}: its {name} is of no map, and one would replace it; name another folder"
+                )
+
+
 def write_track(out: Path, plan: MapPlan, scans: F64) -> None:
     """Write where the scans stand, ``(n, 4, 4)`` in the map's frame, as poses.txt in the frame of the poses, and their names; inverse: :func:`read_track`."""
     placed = scans.copy()
     placed[:, :3, 3] += plan.origin
     lines = [" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in placed]
     names = [name for group in plan.groups for name in group.names]
-    for file, rows in (("poses.txt", lines), ("scans.txt", names)):
+    for file, rows in (("scans.txt", names), ("poses.txt", lines)):
         with atomic(out / file) as stream:
             stream.write(("\n".join(rows) + "\n").encode())
 

@@ -259,6 +259,17 @@ def test_a_map_of_counts_keeps_them(
     assert 100 < max(las.intensity.max() for las in tiles) <= 255
 
 
+def test_a_map_does_not_take_the_place_of_the_poses_of_a_drive(
+    request_: Callable[..., MapRequest], tmp_path: Path
+) -> None:
+    for name in ("poses.txt", "map.mcap"):
+        (tmp_path / name).write_text("recorded")
+        with pytest.raises(UsageError, match=f"its {name} is of no map, and one would replace it"):
+            make_map(request_(tmp_path))
+        assert (tmp_path / name).read_text() == "recorded"
+        (tmp_path / name).unlink()
+
+
 def test_nothing_to_register_is_told(archive: Path, root: Path, tmp_path: Path) -> None:
     one = tmp_path / "one.mcap"
     cut(archive, one, Selection(frames=(0, 1)))
