@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -76,6 +77,7 @@ def run_sequences(request: RunRequest) -> RunResult:
     config = resolve(request.config)
     root = request.root.absolute() if request.root is not None else request.out / "simulated"
     _check_urls(request, root)
+    _check_place(request.out)
     started = datetime.now(UTC)
     with ExitStack() as stack:
         if config.source != "simulated":
@@ -99,6 +101,19 @@ def run_sequences(request: RunRequest) -> RunResult:
         return RunResult(None, errors)
     _gather(request, config, root, outcomes, errors, started)
     return RunResult(report.build(request.out), errors)
+
+
+def _check_place(out: Path) -> None:
+    """Refuse a folder that has a config.json of something else, of which a run has one, too."""
+    path = out / "config.json"
+    try:
+        told = json.loads(path.read_bytes())
+    except OSError:  # not there; whether it can be written shows
+        return
+    except ValueError:
+        told = None
+    if not (isinstance(told, dict) and "profile" in told):
+        raise UsageError(f"{path}: of no run, and one would replace it; name another folder with --out")
 
 
 def _check_urls(request: RunRequest, root: Path) -> None:

@@ -216,6 +216,16 @@ def test_an_archive_written_anew_is_measured_anew(
     assert archives(tmp_path)["00.mcap"] == archives(done)["00.mcap"]
 
 
+@pytest.mark.parametrize("mine", [b'{"mine": 1}', b"[]", b"mine"])
+def test_a_config_of_something_else_is_not_replaced(
+    toy_root: Path, tmp_path: Path, run: Run, mine: bytes
+) -> None:
+    (tmp_path / "config.json").write_bytes(mine)
+    with pytest.raises(UsageError, match=r"config\.json: of no run"):
+        run(toy_root, tmp_path, "00")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [mine]
+
+
 def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(
     done: Path, toy_root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
