@@ -37,7 +37,7 @@ from salpcc.pipeline.cli.run_options import (
 from salpcc.pipeline.cli.run_result import execute
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
-from salpcc.schemas.files import location
+from salpcc.schemas.files import atomic, location
 from salpcc.schemas.work import STAGES
 
 
@@ -86,7 +86,7 @@ def log(
         str,
         typer.Option(
             metavar="NAME|FILE|auto",
-            help="The sensor's model: a shipped one, a JSON file, or auto, the shipped one that the first clouds are of.",
+            help="The sensor's model: a shipped one, a JSON file, or auto, the shipped one that the first clouds are of, whichever unit.",
             rich_help_panel=CODING,
         ),
     ] = "auto",
@@ -121,13 +121,18 @@ def log(
             f"or let `ros2 bag reindex` make one bag of them"
         )
     if sensor == AUTO:
-        sensor, share, within = choose_sensor(file, names[0], tuple(topic or ()))
+        sensor, share, within, unit = choose_sensor(file, names[0], tuple(topic or ()))
         where = f"are within {1000 * within:g} mm of" if within else "lie on"
         told = (
             f"sensor: {sensor}, {share:.0%} of the returns of the first clouds {where} its lattice"
             if share
             else f"sensor: no shipped model fits; `salpcc-pipeline calibrate {file} --out sensor.json` may find one"
         )
+        if unit is not None:
+            model = out / "sensors" / f"{names[0]}.json"
+            with atomic(model) as stream:
+                stream.write(unit.to_json().encode())
+            sensor, told = str(model), f"{told}; it is another unit, whose model is {model}"
         if share is not None:
             STDERR.print(told, soft_wrap=True, style="dim")
     config = config_of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +12,7 @@ import numpy as np
 
 from salpcc.schemas.errors import LogWarning, SourceError
 from salpcc.schemas.scan import Scan
+from salpcc.stages.ingest.calibrate.find_driver import find_unit
 from salpcc.stages.ingest.calibrate.fit_moved import may_be_of
 from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.ingest.sources.bag import Bag
@@ -24,24 +26,26 @@ AUTO, OTHERWISE = "auto", "hdl64e"
 _CLOUDS = 2  # of each topic
 _LEAST = 0.5  # of the returns that must lie on the lattice
 _NEAR, _NEARLY = 0.002, 0.9  # metres from it, and of the returns that must be so near
+_BESIDE = 0.1  # metres that another unit's lasers may make of their looking elsewhere
 
 
 class Chosen(NamedTuple):
     """A shipped model, and the share of the returns of the first clouds that lie on its lattice, or ``within`` metres of it.
 
-    ``share`` is 0 where no model holds for most of them, None where nothing can be read: the run will say why, and what of
+    ``unit``: the model of this very unit, where its lasers look elsewhere than those of the shipped one. ``share`` is 0 where no model holds for most of them, None where nothing can be read: the run will say why, and what of
     the log stays behind.
     """
 
     name: str
     share: float | None
     within: float = 0.0
+    unit: SensorModel | None = None
 
 
 def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> Chosen:
     """Choose the shipped model of the first clouds of a log; OTHERWISE where there is none.
 
-    Clouds may be of a sensor whose driver was another, which rounds azimuths otherwise or not at all: then nearly all of them
+    Clouds may be of another unit than the one that a model is of: then every laser's own numbers are found again. They may be of a sensor whose driver was another, which rounds azimuths otherwise or not at all: then nearly all of them
     are next to the lattice, and corrections are small.
     """
     with warnings.catch_warnings():
@@ -50,16 +54,41 @@ def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> Chosen:
     if not clouds:
         return Chosen(OTHERWISE, None)
     sensors = [load_sensor(file.stem) for file in sorted(SENSORS.glob("*.json"))]
-    for share_of, least, within in (
-        (_share, _LEAST, 0.0),
-        (_share_moved, _LEAST, 0.0),
-        (_share_near, _NEARLY, _NEAR),
-    ):
-        shares = [float(np.mean([share_of(sensor, scan) for scan in clouds])) for sensor in sensors]
-        best = int(np.argmax(shares))
-        if shares[best] > least:
-            return Chosen(sensors[best].name, shares[best], within)
-    return Chosen(OTHERWISE, 0.0)
+    for share_of, least in ((_share, _LEAST), (_share_moved, _LEAST)):
+        best, share = _best(sensors, clouds, share_of)
+        if share > least:
+            return Chosen(best.name, share)
+    found = _find_unit(sensors, clouds)
+    if found is not None:
+        return found
+    best, share = _best(sensors, clouds, _share_near)
+    return Chosen(best.name, share, _NEAR) if share > _NEARLY else Chosen(OTHERWISE, 0.0)
+
+
+def _best(
+    sensors: list[SensorModel], clouds: list[Scan], share_of: Callable[[SensorModel, Scan], float]
+) -> tuple[SensorModel, float]:
+    """The sensor of the largest share of all clouds, and that."""
+    shares = [float(np.mean([share_of(sensor, scan) for scan in clouds])) for sensor in sensors]
+    best = int(np.argmax(shares))
+    return sensors[best], shares[best]
+
+
+def _find_unit(sensors: list[SensorModel], clouds: list[Scan]) -> Chosen | None:
+    """The unit of a shipped sensor that the clouds are of; None where there is none."""
+    points = np.concatenate([scan.points[:, :3] for scan in clouds])
+    rings = [None if scan.cloud is None else scan.cloud.rings() for scan in clouds]
+    ring = None
+    if all(one is not None and one.max(initial=0) < MOST_LASERS for one in rings):
+        ring = np.concatenate(rings).astype(np.int64)  # type: ignore[arg-type]
+    for sensor in sensors:
+        if share_on(sensor, points, _BESIDE) < _NEARLY:
+            continue
+        unit = find_unit(sensor, points, ring)
+        share = 0.0 if unit is None else float(np.mean([_share(unit, scan) for scan in clouds]))
+        if share > _NEARLY:
+            return Chosen(sensor.name, share, unit=unit)
+    return None
 
 
 def _share(sensor: SensorModel, scan: Scan) -> float:

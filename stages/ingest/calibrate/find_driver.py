@@ -22,8 +22,8 @@ _LEVER = 1e-4  # metres; formulas know no lever arms
 _NEAR = 0.1  # metres; nearer points tell nothing
 _SAMPLE, _REFINED = 500, 10_000  # points of a laser
 _CHOSEN, _FEW = 3, 150  # lasers that the formula is chosen by, and points of them
-_HOLDS, _SURE = 0.9, 0.99  # of the points of a laser
-_WIDEST = 2000  # indices that an offset may be
+_HALF, _HOLDS, _SURE = 0.5, 0.9, 0.99  # of the points of a laser
+_WIDEST, _ASIDE = 2000, 1200  # indices that an offset may be, of any sensor and of one whose type is known
 _WINDOW = 2.5e-7  # radians that the phase of azimuths may be off by
 _TRIED = 200  # offsets in that window
 _ULPS = 4
@@ -70,6 +70,51 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
     d = _ranges(reach, model.count, kind.single)
     rows = [_laser(points[some], d[some], kind.formula, SINES.index(kind.sine))[0] for some in own]
     return with_driver(model, replace(kind, lasers=np.array(rows, np.float32)))
+
+
+def find_unit(model: SensorModel, points: F32, ring: I64 | None = None) -> SensorModel | None:
+    """Return the model of another unit of a sensor, whose lasers look elsewhere by less than half of what is between them; None where points ``(N, 3)`` are of none.
+
+    Formula, counts and order are those of ``model``; every laser's own numbers are found again, or kept where it has too few points.
+
+    Args:
+        ring: of each point ``(N,)``, where it is told: then a point is of the laser that most of its ring are nearest to.
+    """
+    kind = model.driver
+    if kind is None or kind.formula not in TURNING:
+        return None
+    wide = points.astype(np.float64)
+    laser = aim(model, wide)[0]
+    if ring is not None:
+        laser = _of_rings(ring, laser, model.n_lasers)
+    reach = np.sqrt((wide**2).sum(axis=1))
+    order = np.random.default_rng(0).permutation(np.flatnonzero((laser >= 0) & (reach > _NEAR)))
+    own = [order[laser[order] == k] for k in range(model.n_lasers)]
+    d = _ranges(np.nan_to_num(reach, posinf=0.0), model.count, kind.single)
+    sine, rows = SINES.index(kind.sine), kind.lasers.copy()
+    known = [k for k in sorted(range(model.n_lasers), key=lambda k: -len(own[k])) if len(own[k]) >= _FEWER]
+    few = [own[k][:_FEWER] for k in known[:_CHOSEN]]
+    shares = [_laser(points[some], d[some], kind.formula, sine, _ASIDE)[1] for some in few]
+    if len(shares) < _CHOSEN or np.median(shares) < _HOLDS:
+        return None
+    for k in known:
+        row, share = _laser(points[own[k]], d[own[k]], kind.formula, sine, _ASIDE)
+        if share > _HALF:
+            rows[k] = row
+    found = with_driver(model, replace(kind, lasers=rows))
+    return replace(found, shift=model.shift, bit_identical_share=round(share_identical(found, points), 6))
+
+
+def _of_rings(ring: I64, laser: I64, lasers: int) -> I64:
+    """The laser ``(N,)`` that most points of each one's ring are nearest to; as it was where two rings would be of one laser."""
+    seen = laser >= 0
+    most = np.zeros((int(ring.max(initial=0)) + 1, lasers), np.int64)
+    np.add.at(most, (ring[seen], laser[seen]), 1)
+    of_ring = most.argmax(axis=1)
+    known = most.any(axis=1)
+    if len(np.unique(of_ring[known])) < known.sum():
+        return laser
+    return np.where(seen, of_ring[ring], -1)
 
 
 def _polished(model: SensorModel, points: F32, laser: I64) -> SensorModel:
@@ -142,8 +187,10 @@ def share_identical(model: SensorModel, points: F32) -> float:
     return float(same.all(axis=1).sum() / max(len(returns), 1))
 
 
-def _laser(points: F32, d: F32, formula: str, sine: int) -> tuple[tuple[float, ...], float]:
-    """Return the row of one laser, and the share of its points ``(N, 3)`` at ranges ``(N,)`` that it gives back."""
+def _laser(
+    points: F32, d: F32, formula: str, sine: int, widest: int = _WIDEST
+) -> tuple[tuple[float, ...], float]:
+    """Return the row of one laser, and the share of its points ``(N, 3)`` at ranges ``(N,)`` that it gives back; ``widest``: indices that its offset may be."""
     if not len(points):
         return (1.0, 0.0, *FORMULAS[formula].row(sine, np.float32(0.0))), 0.0
     sin_e, _ = _elevation(points[:, 2], d)
@@ -156,7 +203,7 @@ def _laser(points: F32, d: F32, formula: str, sine: int) -> tuple[tuple[float, .
     number = list(FORMULAS).index(formula)
     values = FORMULAS[formula].table(sine)
     lost, offset, cos_e = _search(
-        number, sine, values, points[part], d[part], turns[part], phase, cosines, _SAMPLE, _WIDEST, _TRIED
+        number, sine, values, points[part], d[part], turns[part], phase, cosines, _SAMPLE, widest, _TRIED
     )
     share = 1.0 - lost / len(points[part])
     return (cos_e, sin_e, *FORMULAS[formula].row(sine, np.float32(offset))), share

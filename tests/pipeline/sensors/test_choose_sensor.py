@@ -1,5 +1,6 @@
 """A shipped model is found on the first clouds of a log; what it is not of is left to the default."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ from salpcc.pipeline.sensors import choose_sensor as module
 from salpcc.pipeline.sensors.choose_sensor import OTHERWISE, choose_sensor
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
+from salpcc.stages.lattice.aim import share_on
+from salpcc.stages.lattice.drivers import FORMULAS, SINES
 from salpcc.stages.lattice.lattice import driven
-from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
+from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor, with_driver
 
 SHIPPED = sorted(path.stem for path in SENSORS.glob("*.json"))
 
@@ -47,7 +50,29 @@ def cloud_of(sensor: SensorModel) -> np.ndarray:
 
 @pytest.mark.parametrize("name", [name for name in SHIPPED if name != OTHERWISE])
 def test_finds_every_shipped_sensor(name: str, chosen) -> None:
-    assert chosen(cloud_of(load_sensor(name))) == (name, 1.0, 0.0)
+    assert chosen(cloud_of(load_sensor(name))) == (name, 1.0, 0.0, None)
+
+
+@pytest.mark.parametrize("name", ["xt32", "vlp32c", "pandar64"])
+def test_finds_another_unit_whose_lasers_look_elsewhere(name: str, chosen) -> None:
+    shipped = load_sensor(name)
+    assert shipped.driver is not None
+    rng = np.random.default_rng(2)
+    kind, lasers = shipped.driver, shipped.driver.lasers.astype(np.float64)
+    sine = SINES.index(kind.sine)
+    aside = np.radians(rng.normal(0, 0.02, len(lasers)))
+    elevation = np.arctan2(lasers[:, 1], lasers[:, 0]) + np.radians(rng.normal(0, 0.02, len(lasers)))
+    azimuth = lasers[:, 2] if kind.formula == "hesai" else np.arctan2(lasers[:, 3], lasers[:, 2])
+    rows = [FORMULAS[kind.formula].row(sine, np.float32(angle)) for angle in azimuth + aside]
+    lasers = np.column_stack([np.cos(elevation), np.sin(elevation), np.array(rows)]).astype(np.float32)
+    unit = replace(with_driver(shipped, replace(kind, lasers=lasers)), shift=shipped.shift)
+    points = cloud_of(unit)
+    assert share_on(shipped, points) < 0.1
+    found = chosen(points)
+    assert found[:3] == (name, pytest.approx(1.0, abs=0.01), 0.0)
+    assert found.unit.bit_identical_share > 0.99
+    assert found.unit.name == shipped.name
+    assert np.abs(found.unit.theta - unit.theta).max() < 1e-6
 
 
 @pytest.mark.parametrize("name", ["vlp16", "xt32", "hdl32e"])
@@ -65,8 +90,8 @@ def test_finds_a_sensor_whose_driver_does_not_round_azimuths(name: str, chosen) 
 
 def test_takes_the_default_for_what_it_does_not_know(chosen) -> None:
     unknown = np.random.default_rng(0).uniform(-20, 20, (4000, 3)).astype(np.float32)
-    assert chosen(unknown) == (OTHERWISE, 0.0, 0.0)
-    assert chosen(unknown[:0]) == (OTHERWISE, None, 0.0)  # nothing to tell by
+    assert chosen(unknown) == (OTHERWISE, 0.0, 0.0, None)
+    assert chosen(unknown[:0]) == (OTHERWISE, None, 0.0, None)  # nothing to tell by
 
 
 RECORDINGS = {
