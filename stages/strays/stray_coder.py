@@ -1,9 +1,9 @@
-"""Strays, the points without a lattice: their places, and x, y, z as :mod:`.ray_coder` has them.
+"""Strays, the points without a lattice: their places, and x, y, z as :mod:`~salpcc.stages.strays.rays.ray_coder` has them.
 
 Stream: length of the places (uint32), the places as gaps, form, left, up and per (uint8, uint16, uint16, uint32), the points.
 Many strays that lie on the lattice of the sensor model after all, as of a sensor whose files no other coder knows, are coded by it
-(:mod:`.aimed_strays`). Strays whose lasers and times their message tells may lie on rays that turn steadily (:mod:`.timed_strays`), or on the lattice but for a
-motion by time (:mod:`.moved_strays`); then these two are told with them, and need not be told again.
+(:mod:`~salpcc.stages.strays.aimed.aimed_strays`). Strays whose lasers and times their message tells may lie on rays that turn steadily (:mod:`~salpcc.stages.strays.timed.timed_strays`), or on the lattice but for a
+motion by time (:mod:`~salpcc.stages.strays.aimed.moved_strays`); then these two are told with them, and need not be told again.
 """
 
 from __future__ import annotations
@@ -19,18 +19,25 @@ from salpcc.stages.entropy.integers import decode_integers, encode_integers, int
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
-from salpcc.stages.strays.aimed_strays import Motion, choose, count_off, number_of, read_body, write_body
-from salpcc.stages.strays.aimed_stream import Aimed, Way
-from salpcc.stages.strays.aimed_symbols import OFF
-from salpcc.stages.strays.fit_turning import Fitted
-from salpcc.stages.strays.learned import Learned, LearnedLists
-from salpcc.stages.strays.list_layout import find_layout
-from salpcc.stages.strays.moved_strays import body_of, read_moved, write_moved
-from salpcc.stages.strays.moved_sweep import Clock
-from salpcc.stages.strays.ray_coder import F32, Layout
-from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID, HALVES
-from salpcc.stages.strays.ray_stream import move_points, read_points, write_points
-from salpcc.stages.strays.timed_strays import ray_number_of, read_timed, write_timed
+from salpcc.stages.strays.aimed.aimed_strays import (
+    Motion,
+    choose,
+    count_off,
+    number_of,
+    read_body,
+    write_body,
+)
+from salpcc.stages.strays.aimed.aimed_stream import Aimed, Way
+from salpcc.stages.strays.aimed.aimed_symbols import OFF
+from salpcc.stages.strays.aimed.moved_strays import body_of, read_moved, write_moved
+from salpcc.stages.strays.learned.learned_lists import Learned, LearnedLists
+from salpcc.stages.strays.learned.moved_sweep import Clock
+from salpcc.stages.strays.rays.list_layout import find_layout
+from salpcc.stages.strays.rays.ray_coder import F32, Layout
+from salpcc.stages.strays.rays.ray_forms import ALONG, BITS, GRID, HALVES
+from salpcc.stages.strays.rays.ray_stream import move_points, read_points, write_points
+from salpcc.stages.strays.timed.fit_turning import Fitted
+from salpcc.stages.strays.timed.timed_strays import ray_number_of, read_timed, write_timed
 from salpcc.stages.strays.timeline import Timeline
 
 AIMED, TIMED, MOVED = 3, 5, 6  # the forms after those of rays
@@ -279,7 +286,7 @@ def decode_strays(
 
 
 def learned_number(data: bytes) -> int:
-    """The number of what a stream of strays goes on from (:mod:`.learned`); 0: of nothing."""
+    """The number of what a stream of strays goes on from (:mod:`~salpcc.stages.strays.learned.learned_lists`); 0: of nothing."""
     if len(data) == 0:
         return 0
     first, form = _HEAD.unpack_from(data)[:2]

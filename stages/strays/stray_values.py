@@ -1,7 +1,7 @@
 """One float32 a point, such as its intensity: whole numbers of a decimal unit where they are, else float bits.
 
 Stream: one byte, 0 for the bits of :mod:`~salpcc.stages.entropy.integers`, else the position in UNITS plus one; then, of whole numbers
-below 2 ** 16, left and up (uint16 each, :mod:`.ray_coder`) and the numbers, high byte and low byte, in
+below 2 ** 16, left and up (uint16 each, :mod:`~salpcc.stages.strays.rays.ray_coder`) and the numbers, high byte and low byte, in
 the contexts of the left and the upper number.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.walks import code_mixed_bit
-from salpcc.stages.strays.ray_coder import Layout
+from salpcc.stages.strays.rays.ray_coder import Layout
 from salpcc.stages.strays.stray_coder import decode_floats, encode_floats
 
 UNITS = (1.0, 100.0, 255.0, 10.0, 1000.0, 256.0, 65535.0)  # numbers in a whole one

@@ -16,7 +16,7 @@ from salpcc.stages.lattice.timed_motion import timed_places
 from salpcc.stages.residual_code.message.blended_values import encode_blended
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
-from salpcc.stages.strays.learned import LearnedLists
+from salpcc.stages.strays.learned.learned_lists import LearnedLists
 from salpcc.stages.strays.stray_coder import encode_strays, plan
 
 TOLD = Path(__file__).parent / "told"

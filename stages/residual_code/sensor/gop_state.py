@@ -17,9 +17,9 @@ from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.value_models import ValueModels, value_models
-from salpcc.stages.strays.fit_turning import Fitted
-from salpcc.stages.strays.learned import LearnedLists
-from salpcc.stages.strays.ray_coder import Layout
+from salpcc.stages.strays.learned.learned_lists import LearnedLists
+from salpcc.stages.strays.rays.ray_coder import Layout
+from salpcc.stages.strays.timed.fit_turning import Fitted
 
 
 @dataclass

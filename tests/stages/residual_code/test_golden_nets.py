@@ -13,7 +13,7 @@ from salpcc.pipeline.archive import Archive
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.residual_code.sensor.payload import unpack
-from salpcc.stages.strays.ray_forms import ALONG, BITS, GRID
+from salpcc.stages.strays.rays.ray_forms import ALONG, BITS, GRID
 from salpcc.stages.strays.stray_coder import AIMED
 
 NETS = Path(__file__).parents[2] / "golden" / "nets"

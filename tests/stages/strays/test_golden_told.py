@@ -16,7 +16,7 @@ from salpcc.stages.residual_code.message.blended_values import decode_blended, e
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import LEARNED
-from salpcc.stages.strays.learned import LearnedLists
+from salpcc.stages.strays.learned.learned_lists import LearnedLists
 from salpcc.stages.strays.stray_coder import (
     MOVED,
     TIMED,

@@ -5,7 +5,7 @@ import lzma
 import numpy as np
 import pytest
 
-from salpcc.stages.strays.ray_forms import HALVES
+from salpcc.stages.strays.rays.ray_forms import HALVES
 from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, plan
 
 LASERS, FIRINGS = 32, 500

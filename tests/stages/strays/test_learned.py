@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.strays import aimed_strays
-from salpcc.stages.strays.learned import MOST_LISTS, LearnedLists
+from salpcc.stages.strays.aimed import aimed_strays
+from salpcc.stages.strays.learned.learned_lists import MOST_LISTS, LearnedLists
 from salpcc.stages.strays.stray_coder import (
     AIMED,
     decode_strays,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from salpcc.stages.lattice.list_motion import undo
-from salpcc.stages.strays.between import find_between
-from salpcc.stages.strays.learned import LearnedLists
+from salpcc.stages.strays.learned.between import find_between
+from salpcc.stages.strays.learned.learned_lists import LearnedLists
 from salpcc.stages.strays.stray_coder import TIMED, decode_strays, encode_strays, learned_number, plan
 
 LASERS, FIRINGS, CYCLE = 16, 360, 276_000

@@ -16,7 +16,7 @@ from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import BY_LASER, TOLD
-from salpcc.stages.strays.aimed_strays import OFF_LASER
+from salpcc.stages.strays.aimed.aimed_strays import OFF_LASER
 from salpcc.stages.strays.stray_coder import AIMED, MOVED, decode_strays, encode_strays, off_lattice, plan
 
 FIRINGS = 600

@@ -11,9 +11,9 @@ from salpcc.stages.lattice.timed_motion import timed_places
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import LEARNED
-from salpcc.stages.strays.aimed_symbols import AIMED
-from salpcc.stages.strays.learned import LearnedLists
-from salpcc.stages.strays.moved_sweep import Clock, Passing, seen_later
+from salpcc.stages.strays.aimed.aimed_symbols import AIMED
+from salpcc.stages.strays.learned.learned_lists import LearnedLists
+from salpcc.stages.strays.learned.moved_sweep import Clock, Passing, seen_later
 from salpcc.stages.strays.stray_coder import MOVED, decode_strays, encode_strays, plan
 
 FIRINGS, SPAN, SWEEPS = 600, 99_900_000, 3

@@ -9,8 +9,8 @@ from salpcc.stages.entropy.number_forms import spans_of
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import TOLD
-from salpcc.stages.strays import timed_strays
 from salpcc.stages.strays.stray_coder import TIMED, decode_strays, encode_strays, plan
+from salpcc.stages.strays.timed import timed_strays
 from salpcc.stages.strays.timeline import Timeline, decode_timeline, encode_timeline, find_timelines
 
 LASERS, FIRINGS, CYCLE = 16, 400, 55_296

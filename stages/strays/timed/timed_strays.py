@@ -1,7 +1,7 @@
-"""Points whose lasers and times are told, on the rays of lasers that turn steadily: form TIMED of :mod:`.stray_coder`.
+"""Points whose lasers and times are told, on the rays of lasers that turn steadily: form TIMED of :mod:`~salpcc.stages.strays.stray_coder`.
 
-Body: bytes of the timeline (uint32), the timeline (:mod:`.timeline`); form of the coordinates and 16 times the number of what was learned (:mod:`.learned`; 0:
-nothing), lasers less one, sensors (uint8 each); the float32 numbers of :class:`~.turning_rays.Turning`, array by array, and with a number those of the motion since the scan before (:mod:`.between`); the walk of :mod:`.timed_coder`.
+Body: bytes of the timeline (uint32), the timeline (:mod:`~salpcc.stages.strays.timeline`); form of the coordinates and 16 times the number of what was learned (:mod:`~salpcc.stages.strays.learned.learned_lists`; 0:
+nothing), lasers less one, sensors (uint8 each); the float32 numbers of :class:`~.turning_rays.Turning`, array by array, and with a number those of the motion since the scan before (:mod:`~salpcc.stages.strays.learned.between`); the walk of :mod:`.timed_coder`.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
-from salpcc.stages.strays.fit_turning import Fitted, fit_again, fit_turning
-from salpcc.stages.strays.learned import Learned, LearnedLists
-from salpcc.stages.strays.ray_coder import F32
-from salpcc.stages.strays.ray_forms import BITS, GRID, HALVES
-from salpcc.stages.strays.seen_rays import Swept, eyes_of
-from salpcc.stages.strays.timed_coder import code_timed, new_models
+from salpcc.stages.strays.learned.learned_lists import Learned, LearnedLists
+from salpcc.stages.strays.learned.seen_rays import Swept, eyes_of
+from salpcc.stages.strays.rays.ray_coder import F32
+from salpcc.stages.strays.rays.ray_forms import BITS, GRID, HALVES
+from salpcc.stages.strays.timed.fit_turning import Fitted, fit_again, fit_turning
+from salpcc.stages.strays.timed.timed_coder import code_timed, new_models
+from salpcc.stages.strays.timed.turning_rays import Turning
 from salpcc.stages.strays.timeline import I64, Lasers, Timeline, decode_timeline, find_timelines
-from salpcc.stages.strays.turning_rays import Turning
 
 _BODY, _RAYS = struct.Struct("<I"), struct.Struct("<BBB")
 _FEWEST, _MOST_POINTS = 2000, 1 << 22

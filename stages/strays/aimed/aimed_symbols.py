@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES
 from salpcc.stages.entropy.walks import code_mixed_bit
-from salpcc.stages.strays.ray_forms import SPREADS
+from salpcc.stages.strays.rays.ray_forms import SPREADS
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
 PREDICTORS = 8

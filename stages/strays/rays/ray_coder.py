@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number, size_of
 from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
-from salpcc.stages.strays.ray_forms import (
+from salpcc.stages.strays.rays.ray_forms import (
     ALONG,
     BITS,
     FAR,

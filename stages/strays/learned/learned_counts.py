@@ -1,6 +1,6 @@
 """The count of a point as efforts above ``fast`` learn it: a mixture of what its neighbours and the sweep before say.
 
-The guesses of 1/d are those of :mod:`.aimed_neighbours`; where the sensor stands still, the point of the same laser nearest in azimuth in the sweep before
+The guesses of 1/d are those of :mod:`~salpcc.stages.strays.aimed.aimed_neighbours`; where the sensor stands still, the point of the same laser nearest in azimuth in the sweep before
 says most; where it moves, what was there plus what has changed next to it, and, if the motion is known, the same of the sweep before as it is seen now
 (:mod:`.moved_sweep`).
 """
@@ -26,8 +26,8 @@ from salpcc.stages.entropy.mixed_numbers import (
 )
 from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import Buffer, State
-from salpcc.stages.strays.aimed_neighbours import nearest_of
-from salpcc.stages.strays.moved_sweep import Turn
+from salpcc.stages.strays.aimed.aimed_neighbours import nearest_of
+from salpcc.stages.strays.learned.moved_sweep import Turn
 
 _SIZES, _SPREADS, _SIGNED, _LASERS = 16, 12, 9, 256
 _CONTEXTS = (_SPREADS * _SIZES, _SPREADS * _SIGNED * _SIGNED, _SPREADS * _SIGNED * _SIGNED, _LASERS)
@@ -158,7 +158,7 @@ def code_count(  # type: ignore[no-untyped-def]
 
     Args:
         neighbours: last point of the laser, nearest above and below; -1: none.
-        told: distance, spread and range of the guesses together, as :func:`.aimed_neighbours.guess_inverse` returns them.
+        told: distance, spread and range of the guesses together, as :func:`~salpcc.stages.strays.aimed.aimed_neighbours.guess_inverse` returns them.
         scale: range of level 0 less half a level, metres a level, and 0.5 of a level less a count, in levels.
         azimuth, inverse, errors, guess: of the walk; ``most``: the largest level.
     """

@@ -16,12 +16,12 @@ from salpcc.stages.lattice.lattice import driven, laser_constants
 from salpcc.stages.lattice.list_motion import places, redo, undo
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, turn_tables
-from salpcc.stages.strays.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed, new_room
-from salpcc.stages.strays.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
-from salpcc.stages.strays.learned import Learned
-from salpcc.stages.strays.moved_sweep import Clock, Passing, Turn
-from salpcc.stages.strays.ray_coder import F32, Layout
-from salpcc.stages.strays.ray_forms import GRID
+from salpcc.stages.strays.aimed.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed, new_room
+from salpcc.stages.strays.aimed.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
+from salpcc.stages.strays.learned.learned_lists import Learned
+from salpcc.stages.strays.learned.moved_sweep import Clock, Passing, Turn
+from salpcc.stages.strays.rays.ray_coder import F32, Layout
+from salpcc.stages.strays.rays.ray_forms import GRID
 
 EXACT_REACH = 0.005  # metres; what is farther from the lattice costs less off it
 _ROUNDING = 1e-5  # metres, more than float32 rounds points by

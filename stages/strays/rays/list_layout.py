@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.strays.ray_coder import Layout
-from salpcc.stages.strays.ray_forms import ALONG
-from salpcc.stages.strays.ray_stream import move_points, write_points
+from salpcc.stages.strays.rays.ray_coder import Layout
+from salpcc.stages.strays.rays.ray_forms import ALONG
+from salpcc.stages.strays.rays.ray_stream import move_points, write_points
 
 _FEW = 500
 _TRIED = 32768

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
-from salpcc.stages.strays.aimed_neighbours import (
+from salpcc.stages.strays.aimed.aimed_neighbours import (
     above_and_below,
     around,
     guess_inverse,
@@ -31,7 +31,7 @@ from salpcc.stages.strays.aimed_neighbours import (
     link_beside,
     short_way,
 )
-from salpcc.stages.strays.aimed_symbols import (
+from salpcc.stages.strays.aimed.aimed_symbols import (
     AIMED,
     CLASSES,
     NAN,
@@ -41,9 +41,9 @@ from salpcc.stages.strays.aimed_symbols import (
     code_kind,
     code_laser,
 )
-from salpcc.stages.strays.learned_counts import code_count
-from salpcc.stages.strays.learned_order import code_candidate, code_tick, learn_order
-from salpcc.stages.strays.ray_forms import bucket_of, coordinate_of, whole_of
+from salpcc.stages.strays.learned.learned_counts import code_count
+from salpcc.stages.strays.learned.learned_order import code_candidate, code_tick, learn_order
+from salpcc.stages.strays.rays.ray_forms import bucket_of, coordinate_of, whole_of
 
 MAX_LEVEL = (1 << 20) - 1
 NAN_BITS = 0x7FC00000

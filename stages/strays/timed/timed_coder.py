@@ -1,4 +1,4 @@
-"""Points on the rays of lasers that turn steadily (:mod:`.turning_rays`), told by their lasers and times (:mod:`.timeline`).
+"""Points on the rays of lasers that turn steadily (:mod:`.turning_rays`), told by their lasers and times (:mod:`~salpcc.stages.strays.timeline`).
 
 The distance is guessed in 1/r from the laser's last two points and those of its neighbours in elevation, as for points on a lattice. The coordinate in
 which the ray points comes first, then the others, foretold again from it. How the sensor's turning strays from a steady one is learned from the
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number, size_of
 from salpcc.stages.lattice.trig import TWO_PI, arctan2
-from salpcc.stages.strays.aimed_neighbours import above_and_below, guess_inverse, link
-from salpcc.stages.strays.aimed_symbols import PREDICTORS
-from salpcc.stages.strays.learned_rays import code_learned_ray, learn_ray
-from salpcc.stages.strays.ray_forms import (
+from salpcc.stages.strays.aimed.aimed_neighbours import above_and_below, guess_inverse, link
+from salpcc.stages.strays.aimed.aimed_symbols import PREDICTORS
+from salpcc.stages.strays.learned.learned_rays import code_learned_ray, learn_ray
+from salpcc.stages.strays.rays.ray_forms import (
     GRID,
     HALVES,
     SPREADS,
@@ -25,7 +25,7 @@ from salpcc.stages.strays.ray_forms import (
     coordinate_of,
     whole_of,
 )
-from salpcc.stages.strays.turning_rays import ray_at
+from salpcc.stages.strays.timed.turning_rays import ray_at
 
 _CLASSES = SIZES // 2 + 1
 _GAIN = 0.1  # of what a point tells of its sensor's turning
@@ -61,7 +61,7 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
         laser, time: of each point ``(N,)``; times from -1/2 to 1/2. ``group``: the sensor of each laser.
         rays: of :class:`~.turning_rays.Turning`.
         beside_of: the lasers above and below each, -1: none.
-        learned: models and what they see (:mod:`.learned_rays`), of efforts above ``fast``, or None: then numbers are coded in the two contexts of each.
+        learned: models and what they see (:mod:`~salpcc.stages.strays.learned.learned_rays`), of efforts above ``fast``, or None: then numbers are coded in the two contexts of each.
     """
     lasers, sensors, motion = rays
     above, below = beside_of

@@ -1,6 +1,6 @@
 """The sweep before as a later one sees it: its returns moved by the motion of both, on the lattice of their sensor.
 
-Clouds that tell their times and were moved by them (:mod:`.moved_strays`) have motions that a reader knows. Half of the way from one cloud to the
+Clouds that tell their times and were moved by them (:mod:`~salpcc.stages.strays.aimed.moved_strays`) have motions that a reader knows. Half of the way from one cloud to the
 next is made at the pace of the one before, half at that of the later one; what stood still is then where the sensor sees it now.
 """
 
@@ -17,7 +17,7 @@ from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.list_motion import redo
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI
-from salpcc.stages.strays.aimed_symbols import AIMED
+from salpcc.stages.strays.aimed.aimed_symbols import AIMED
 
 _LATEST = 3.0  # spans from one cloud to the next; what is older says little
 _ANEW = 0.5  # spans; clouds nearer than that count their times from their own beginning
@@ -40,7 +40,7 @@ class Clock(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """The points ``(n,)`` of a sweep: azimuth in ticks, 1/d, the rings of :func:`.aimed_neighbours.link`, and their places in the list where these are others."""
+    """The points ``(n,)`` of a sweep: azimuth in ticks, 1/d, the rings of :func:`~salpcc.stages.strays.aimed.aimed_neighbours.link`, and their places in the list where these are others."""
 
     azimuth: F64
     inverse: F64

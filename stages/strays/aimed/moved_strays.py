@@ -1,4 +1,4 @@
-"""Strays on the lattice of the sensor, but for a motion that follows their times: form MOVED of :mod:`.stray_coder`.
+"""Strays on the lattice of the sensor, but for a motion that follows their times: form MOVED of :mod:`~salpcc.stages.strays.stray_coder`.
 
 Body: bytes of the times (uint32); the times, the first (int64) and a column of residuals (:mod:`~salpcc.stages.entropy.columns`); the reference and the
 six numbers of the motion (float64, :mod:`~salpcc.stages.lattice.timed_motion`); the body of :mod:`.aimed_strays`.
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.columns import LEFT, decode_residuals, encode_residuals
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import timed_places
-from salpcc.stages.strays.aimed_strays import MOST_POINTS, lasers_of, passed_of, read_body, write_body
-from salpcc.stages.strays.aimed_stream import Aimed, Way
-from salpcc.stages.strays.learned import LearnedLists
-from salpcc.stages.strays.moved_sweep import Clock
-from salpcc.stages.strays.ray_coder import F32, Layout
+from salpcc.stages.strays.aimed.aimed_strays import MOST_POINTS, lasers_of, passed_of, read_body, write_body
+from salpcc.stages.strays.aimed.aimed_stream import Aimed, Way
+from salpcc.stages.strays.learned.learned_lists import LearnedLists
+from salpcc.stages.strays.learned.moved_sweep import Clock
+from salpcc.stages.strays.rays.ray_coder import F32, Layout
 from salpcc.stages.strays.timeline import I64, Timeline
 
 _LENGTH, _FIRST, _MOTION = struct.Struct("<I"), struct.Struct("<q"), struct.Struct("<7d")

@@ -1,7 +1,7 @@
-"""Strays on the lattice of the archive's sensor model, and those off it on rays as ever: form AIMED of :mod:`.stray_coder`.
+"""Strays on the lattice of the archive's sensor model, and those off it on rays as ever: form AIMED of :mod:`~salpcc.stages.strays.stray_coder`.
 
-Body: form of the corrections (ALONG: none), 8 where points of a laser are shuffled, and 16 times the number of what was learned (:mod:`.learned`; 0: nothing) in a uint8, counts per level, points off the lattice, bytes of the walk (uint32 each); the walk
-of :mod:`.aimed_coder`; the stream of :mod:`.stray_coder` of the points off the lattice, if there are any.
+Body: form of the corrections (ALONG: none), 8 where points of a laser are shuffled, and 16 times the number of what was learned (:mod:`~salpcc.stages.strays.learned.learned_lists`; 0: nothing) in a uint8, counts per level, points off the lattice, bytes of the walk (uint32 each); the walk
+of :mod:`.aimed_coder`; the stream of :mod:`~salpcc.stages.strays.stray_coder` of the points off the lattice, if there are any.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.find_lasers import find_firing
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.strays.aimed_stream import (
+from salpcc.stages.strays.aimed.aimed_stream import (
     EXACT_REACH,
     Aimed,
     Way,
@@ -26,12 +26,12 @@ from salpcc.stages.strays.aimed_stream import (
     step_of,
     write_aimed,
 )
-from salpcc.stages.strays.aimed_symbols import AIMED, OFF
-from salpcc.stages.strays.learned import Learned, LearnedLists
-from salpcc.stages.strays.list_layout import likely_layouts
-from salpcc.stages.strays.moved_sweep import Clock
-from salpcc.stages.strays.ray_coder import F32, Layout
-from salpcc.stages.strays.ray_forms import ALONG, BITS
+from salpcc.stages.strays.aimed.aimed_symbols import AIMED, OFF
+from salpcc.stages.strays.learned.learned_lists import Learned, LearnedLists
+from salpcc.stages.strays.learned.moved_sweep import Clock
+from salpcc.stages.strays.rays.list_layout import likely_layouts
+from salpcc.stages.strays.rays.ray_coder import F32, Layout
+from salpcc.stages.strays.rays.ray_forms import ALONG, BITS
 from salpcc.stages.strays.timeline import Passed
 
 MOST_POINTS = 1 << 22

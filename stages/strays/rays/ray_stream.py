@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
-from salpcc.stages.strays.lanes import find_lanes
-from salpcc.stages.strays.ray_coder import (
+from salpcc.stages.strays.rays.lanes import find_lanes
+from salpcc.stages.strays.rays.ray_coder import (
     F32,
     LOOSE,
     MOVE,
@@ -22,7 +22,7 @@ from salpcc.stages.strays.ray_coder import (
     code_points,
     new_models,
 )
-from salpcc.stages.strays.ray_forms import FAR
+from salpcc.stages.strays.rays.ray_forms import FAR
 
 
 def move_points(

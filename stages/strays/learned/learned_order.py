@@ -26,7 +26,7 @@ from salpcc.stages.entropy.mixed_numbers import (
 )
 from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import Buffer, State
-from salpcc.stages.strays.aimed_neighbours import short_way
+from salpcc.stages.strays.aimed.aimed_neighbours import short_way
 
 _LASERS = 256
 _CANDIDATES = 3

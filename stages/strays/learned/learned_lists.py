@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.mixed_numbers import copied
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.strays.between import find_between
-from salpcc.stages.strays.learned_counts import (
+from salpcc.stages.strays.learned.between import find_between
+from salpcc.stages.strays.learned.learned_counts import (
     CountModels,
     CountSeen,
     new_count_models,
     no_counts,
 )
-from salpcc.stages.strays.learned_order import OrderModels, OrderSeen, new_order_models, nothing_seen
-from salpcc.stages.strays.learned_rays import RayModels, RaySeen, new_ray_models, no_rays
-from salpcc.stages.strays.moved_sweep import Passing, Turn, no_turn, seen_later
-from salpcc.stages.strays.seen_rays import Eyes, Swept, swept_later
+from salpcc.stages.strays.learned.learned_order import OrderModels, OrderSeen, new_order_models, nothing_seen
+from salpcc.stages.strays.learned.learned_rays import RayModels, RaySeen, new_ray_models, no_rays
+from salpcc.stages.strays.learned.moved_sweep import Passing, Turn, no_turn, seen_later
+from salpcc.stages.strays.learned.seen_rays import Eyes, Swept, swept_later
 from salpcc.stages.strays.timeline import Passed
 
 F64 = NDArray[np.float64]
@@ -41,7 +41,7 @@ class Known(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """What :func:`.aimed_coder.code_aimed` takes: models, and what the scan shows; ``shuffled``: points of a laser come in no order of azimuths, and are put in it."""
+    """What :func:`~salpcc.stages.strays.aimed.aimed_coder.code_aimed` takes: models, and what the scan shows; ``shuffled``: points of a laser come in no order of azimuths, and are put in it."""
 
     order: OrderModels
     heard: OrderSeen
@@ -51,7 +51,7 @@ class Walk(NamedTuple):
 
 
 class RayWalk(NamedTuple):
-    """What :func:`.timed_coder.code_timed` takes: models, and what the scan shows."""
+    """What :func:`~salpcc.stages.strays.timed.timed_coder.code_timed` takes: models, and what the scan shows."""
 
     models: RayModels
     seen: RaySeen

@@ -1,4 +1,4 @@
-"""Points of a sweep as the sensors of the vehicle see them a sweep later: on which of their rays (:mod:`.turning_rays`), and how far away.
+"""Points of a sweep as the sensors of the vehicle see them a sweep later: on which of their rays (:mod:`~salpcc.stages.strays.timed.turning_rays`), and how far away.
 
 When a sensor looks at a point follows from the point's azimuth; where the sensor was then, from the motion. A reader repeats this, hence ``+ - * /`` and
 square roots only.
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.trig import TWO_PI, arctan2, sin_cos
 from salpcc.stages.lattice.untwist import moved, turned_back
-from salpcc.stages.strays.moved_sweep import Turn, no_turn, turn_of
+from salpcc.stages.strays.learned.moved_sweep import Turn, no_turn, turn_of
+from salpcc.stages.strays.timed.turning_rays import Turning
 from salpcc.stages.strays.timeline import LASERS
-from salpcc.stages.strays.turning_rays import Turning
 
 _APART = 2e-3  # radians; a point farther above or below a ray is not on it
 _NEAREST, _FARTHEST = 0.1, 1e3  # metres

@@ -1,4 +1,4 @@
-"""Points on rays (:mod:`.timed_coder`) as efforts above ``fast`` learn them: mixtures of what their neighbours and the sweep before say.
+"""Points on rays (:mod:`~salpcc.stages.strays.timed.timed_coder`) as efforts above ``fast`` learn them: mixtures of what their neighbours and the sweep before say.
 
 The first coordinate tells the distance to within its grain, which leaves an interval for the second, and the two a shorter one for the third: what that
 is depends on how long it is and on where between two whole numbers its middle lies. How far a sensor's turning strays from a steady one is followed as closely as each point's grain allows, and how far
@@ -27,10 +27,10 @@ from salpcc.stages.entropy.mixed_numbers import (
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
 from salpcc.stages.lattice.trig import TWO_PI
-from salpcc.stages.strays.aimed_neighbours import nearest_of
-from salpcc.stages.strays.learned_counts import bucket_by, signed_bucket, with_change
-from salpcc.stages.strays.moved_sweep import Turn
-from salpcc.stages.strays.ray_forms import GRID, HALVES, coordinate_of, whole_of
+from salpcc.stages.strays.aimed.aimed_neighbours import nearest_of
+from salpcc.stages.strays.learned.learned_counts import bucket_by, signed_bucket, with_change
+from salpcc.stages.strays.learned.moved_sweep import Turn
+from salpcc.stages.strays.rays.ray_forms import GRID, HALVES, coordinate_of, whole_of
 from salpcc.stages.strays.timeline import LASERS
 
 _SIZES, _SPREADS, _SIGNED = 16, 12, 9

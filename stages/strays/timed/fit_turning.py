@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.strays.turning_rays import Turning
+from salpcc.stages.strays.timed.turning_rays import Turning
 
 _FASTEST, _RATES = 8.0, 321  # radians from the first to the last point; tried
 _SAMPLE = 6000  # points

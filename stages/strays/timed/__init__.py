@@ -1,0 +1,1 @@
+"""Points whose lasers and times their message tells, on the rays of lasers that turn steadily."""
