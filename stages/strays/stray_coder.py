@@ -9,7 +9,9 @@ motion by time (:mod:`~salpcc.stages.strays.aimed.moved_strays`); then these two
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -252,59 +254,111 @@ def decode_strays(
     first, form, left, up, per = _HEAD.unpack(data[: _HEAD.size].tobytes())
     begin = _HEAD.size + first
     step = ray_step(max_error)
-    known = form <= BITS or form == HALVES or (form == AIMED and sensor is not None)
-    known = known or (form in (TIMED, MOVED) and step == 0.0 and (form == TIMED or sensor is not None))
+    row = _FORMS.get(form)
+    known = form <= BITS or form == HALVES
+    if row is not None:
+        known = (sensor is not None or not row.of_sensor) and (step == 0.0 or not row.exact)
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
     places = np.cumsum(rows[:, 0] + 1) - 1
     body = np.ascontiguousarray(data[begin:])
-    told = None
-    if form == TIMED:
-        points, told, whole = read_timed(n, per, body, lists)
-    elif form == MOVED:
-        assert sensor is not None
-        points, told, whole = read_moved(
-            n, (left, up), per, body, sensor, lambda m, d: decode_strays(m, 0.0, d)[1::2], lists
-        )
-    elif form == AIMED:
-        assert sensor is not None
-        points, _, whole = read_body(
-            n,
-            (left, up),
-            per,
-            step == 0.0,
-            body,
-            sensor,
-            motion,
-            lambda m, d: decode_strays(m, max_error, d)[1::2],
-            lists=lists,
-        )
+    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists)
+    if row is not None:
+        points, told, whole = row.read(given)
     else:
         points, whole = read_points(n, (left, up), form, per, step, body)
+        told = None
     return places, points, told, bool(sound and whole)
+
+
+class _Given(NamedTuple):
+    """What a reader of points is given: how many, layout and units of corrections, their bytes, and what :func:`decode_strays` was given."""
+
+    n: int
+    layout: Layout
+    per: int
+    max_error: float
+    data: NDArray[np.uint8]
+    sensor: SensorModel | None
+    motion: Motion
+    lists: LearnedLists | None
+
+    def rest(self, n: int, data: NDArray[np.uint8]) -> tuple[F32, bool]:
+        """Read the ``n`` points off the lattice."""
+        return decode_strays(n, self.max_error, data)[1::2]
+
+
+_Points = tuple[
+    F32, Timeline | None, bool
+]  # points, their lasers and times where they are told, whether the data made sense
+
+
+def _read_aimed(given: _Given) -> _Points:
+    n, layout, per, max_error, data, sensor, motion, lists = given
+    assert sensor is not None
+    exact = ray_step(max_error) == 0.0
+    points, _, whole = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
+    return points, None, whole
+
+
+def _read_moved(given: _Given) -> _Points:
+    assert given.sensor is not None
+    return read_moved(given.n, given.layout, given.per, given.data, given.sensor, given.rest, given.lists)
+
+
+def _read_timed(given: _Given) -> _Points:
+    return read_timed(given.n, given.per, given.data, given.lists)
+
+
+class _Form(NamedTuple):
+    """A form of points on a lattice, or on rays of known lasers.
+
+    Attributes:
+        read: its reader.
+        number: of a body, what it goes on from (:mod:`~salpcc.stages.strays.learned.learned_lists`); 0: from nothing.
+        off: of a body of n points, those off the lattice of their sensor.
+        of_sensor, exact: whether it takes a model of the sensor, and exact points.
+    """
+
+    read: Callable[[_Given], _Points]
+    number: Callable[[bytes], int]
+    off: Callable[[int, bytes], int]
+    of_sensor: bool
+    exact: bool
+
+
+_FORMS = {
+    AIMED: _Form(_read_aimed, number_of, lambda _, body: count_off(body), True, False),
+    TIMED: _Form(_read_timed, ray_number_of, lambda n, _: n, False, True),
+    MOVED: _Form(
+        _read_moved,
+        lambda body: number_of(body_of(body)),
+        lambda _, body: count_off(body_of(body)),
+        True,
+        True,
+    ),
+}
 
 
 def learned_number(data: bytes) -> int:
     """The number of what a stream of strays goes on from (:mod:`~salpcc.stages.strays.learned.learned_lists`); 0: of nothing."""
-    if len(data) == 0:
-        return 0
-    first, form = _HEAD.unpack_from(data)[:2]
-    body = data[_HEAD.size + first :]
-    if form == TIMED:
-        return ray_number_of(body)
-    return number_of(body if form == AIMED else body_of(body)) if form in (AIMED, MOVED) else 0
+    row, body = _form_of(data)
+    return 0 if row is None else row.number(body)
 
 
 def off_lattice(n: int, data: bytes) -> int:
     """Of the ``n`` strays of a stream that was checked, those that are not on the lattice of their sensor."""
-    if n == 0:
-        return 0
+    row, body = _form_of(data)
+    return n if row is None else row.off(n, body)
+
+
+def _form_of(data: bytes) -> tuple[_Form | None, bytes]:
+    """The form of a stream, None of one of rays, and its body."""
+    if len(data) == 0:
+        return None, b""
     first, form = _HEAD.unpack_from(data)[:2]
-    body = data[_HEAD.size + first :]
-    if form == AIMED:
-        return count_off(body)
-    return count_off(body_of(body)) if form == MOVED else n
+    return _FORMS.get(form), data[_HEAD.size + first :]
 
 
 def encode_floats(values: NDArray[np.float32], out: NDArray[np.uint8]) -> int:
