@@ -54,13 +54,22 @@ def shine_of(points: np.ndarray, often: float = 9.0) -> np.ndarray:
     return np.rint(wall + np.random.default_rng(1).normal(0, 2, len(wall))).astype(np.int64)
 
 
-def learned(scans: list[np.ndarray]) -> dict[str, bytes]:
+def to_and_fro(points: np.ndarray) -> np.ndarray:
+    """The same points, every two firings in the place of the next two."""
+    size = 2 * load_sensor(SENSOR).n_lasers
+    firings = np.arange(len(points)) // size
+    return points[np.argsort(firings ^ 1, kind="stable")]
+
+
+def learned(scans: list[np.ndarray], name: str = "learned") -> dict[str, bytes]:
     """Streams and records of the scans of a group, with what was learned of those before."""
     sensor, lists, modes, written = load_sensor(SENSOR), LearnedLists(), FieldModes(True), {}
     for number, points in enumerate(scans):
         found = plan(points, 0.0, sensor, learned=lists.of_topic("/a"))
-        written[f"learned_{number}"] = encode_strays(np.arange(len(points)), found)
+        written[f"{name}_{number}"] = encode_strays(np.arange(len(points)), found)
         lists.settle(1)
+        if name != "learned":
+            continue
         known = Points.of(points, 0, sensor)
         written[f"values_{number}"] = modes.encode(("/a", "shine"), shine_of(points, 3.0), known)
     return written
@@ -105,6 +114,7 @@ def main() -> None:
         "timed": encode_strays(np.arange(len(points)), plan(halves, 0.0, lanes=laser, times=time)),
         "blended": encode_blended(shine, around),
         **learned(scans),
+        **learned([to_and_fro(scan) for scan in scans], "shuffled"),
         **driven_past(turns),
         **on_rays(turns),
     }
@@ -116,6 +126,7 @@ def main() -> None:
         "learned": [
             [len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan, 3.0))] for scan in scans
         ],
+        "shuffled": [zlib.crc32(to_and_fro(scan).tobytes()) for scan in scans],
         "passed": [
             [len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan, 3.0))] for scan, _, _ in turns
         ],

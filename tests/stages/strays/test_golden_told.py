@@ -18,6 +18,7 @@ from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import LEARNED
 from salpcc.stages.strays.learned.learned_lists import LearnedLists
 from salpcc.stages.strays.stray_coder import (
+    _HEAD,
     MOVED,
     TIMED,
     decode_strays,
@@ -108,3 +109,20 @@ def test_gives_the_same_learned_points_and_values_and_bytes() -> None:
         assert end == len(record)
         assert zlib.crc32(values) == of_values
         assert modes_again.encode(("/a", "shine"), values, known) == record
+
+
+def test_gives_the_same_points_of_firings_in_a_wrong_order_and_bytes() -> None:
+    lists, again = LearnedLists(), LearnedLists()
+    for number, ((n, *_), of_points) in enumerate(
+        zip(EXPECTED["learned"], EXPECTED["shuffled"], strict=True)
+    ):
+        data = (TOLD / f"shuffled_{number}.bin").read_bytes()
+        _, points, _, sound = decode_strays(
+            n, 0.0, np.frombuffer(bytearray(data), np.uint8), SENSOR, lists=lists
+        )
+        assert sound
+        body = _HEAD.size + int.from_bytes(data[:4], "little")
+        assert [learned_number(data), data[body] & 8] == [1, 8]
+        assert zlib.crc32(points.tobytes()) == of_points
+        assert encode_strays(np.arange(n), plan(points, 0.0, SENSOR, learned=again.of_topic("/a"))) == data
+        again.settle(1)
