@@ -33,6 +33,7 @@ from salpcc.stages.residual_code.sensor import header
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 from salpcc.stages.segment.task import quantise, split
+from salpcc.stages.strays.learned.learned_lists import LearnedLists
 from salpcc.stages.strays.stray_coder import decode_strays
 
 SENSOR, PANDAR = load_sensor("hdl64e"), load_sensor("pandar64")
@@ -163,14 +164,26 @@ def _read_labels(which: int, data: bytes, folder: Path) -> None:
         raise Wrong("labels decoded to others")
 
 
+# Golden streams of strays whose lasers and times are told, and of learned ones, each after the one that it goes on from.
+_TOLD = (
+    ("moved",), ("timed",), ("learned_0",), ("learned_0", "learned_1"), ("shuffled_0",), ("shuffled_0", "shuffled_1"),
+    ("passed_0", "passed_1"), ("rays_0",), ("rays_0", "rays_1"),
+)  # fmt: skip
+
+
 def _told(folder: Path) -> list[bytes]:
-    """Strays whose lasers and times are told: moved by their times, and of sensors merged."""
-    return [(TOLD / name).read_bytes() for name in ("moved.bin", "timed.bin")]
+    return [(TOLD / f"{names[-1]}.bin").read_bytes() for names in _TOLD]
 
 
 def _read_told(which: int, data: bytes, folder: Path) -> None:
-    number = json.loads((TOLD / "expected.json").read_text())["n"]
-    *_, sound = decode_strays(number, 0.0, np.frombuffer(bytearray(data), np.uint8), PANDAR)
+    expected = json.loads((TOLD / "expected.json").read_text())
+    lists, names = LearnedLists(), _TOLD[which]
+    whole = [(TOLD / f"{name}.bin").read_bytes() for name in names[:-1]]
+    for name, stream in zip(names, [*whole, data], strict=True):
+        kind, _, place = name.partition("_")
+        known = expected["learned" if kind == "shuffled" else kind]
+        n = known[int(place)][0] if place else expected["n"]
+        *_, sound = decode_strays(n, 0.0, np.frombuffer(bytearray(stream), np.uint8), PANDAR, lists=lists)
     if not sound:  # what is sound and other than it was, the checksum of its payload finds
         raise ArchiveError("stray points do not decode")
 
