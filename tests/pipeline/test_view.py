@@ -4,7 +4,8 @@ import os
 import re
 import subprocess
 import sys
-from contextlib import suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -131,11 +132,12 @@ def test_a_recording_is_written(archive: Path, tmp_path: Path) -> None:
     assert "/path" in printed
 
 
-@pytest.mark.usefixtures("little_room")
-def test_a_recording_that_finds_no_room_is_none(archive: Path, tmp_path: Path) -> None:
+def test_a_recording_that_finds_no_room_is_none(
+    archive: Path, tmp_path: Path, little_room: Callable[[], AbstractContextManager[None]]
+) -> None:
     pytest.importorskip("rerun")
     (tmp_path / "a.rrd").write_bytes(b"of before")
-    with pytest.raises(OSError, match=r"a\.rrd"):
+    with little_room(), pytest.raises(OSError, match=r"a\.rrd"):
         view(archive, save=tmp_path / "a.rrd")
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
 

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
@@ -246,10 +247,9 @@ def test_a_log_is_never_replaced(there: str, archive: Archive, tmp_path: Path) -
 
 @pytest.mark.parametrize("form", sorted(EXPORTS.keys() - {"bag"}))
 def test_a_full_disk_is_told_with_the_file(
-    form: str, archive: Archive, tmp_path: Path, request: pytest.FixtureRequest
+    form: str, archive: Archive, tmp_path: Path, little_room: Callable[[], AbstractContextManager[None]]
 ) -> None:
     scans = list(archive)
-    request.getfixturevalue("little_room")
-    with pytest.raises(OSError, match=f"File too large: '{tmp_path}"):
+    with little_room(), pytest.raises(OSError, match=f"File too large: '{tmp_path}"):
         list(EXPORTS[form](archive, iter(scans), tmp_path))
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
