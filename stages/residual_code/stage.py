@@ -119,10 +119,12 @@ def _of_lasers(sensor: SensorModel, *layers: tuple[Sweep, Payload, Prediction]) 
         returns = sum(np.diff(ring_starts(sweep.laser, sensor.n_lasers)) for sweep, _, _ in layers)
         bits = sum(laser_bits(sweep, predicted, sensor.n_lasers) for sweep, _, predicted in layers)
         return {"laser_returns": np.asarray(returns, np.int32), "laser_bits": np.asarray(bits, np.float32)}
-    off = sum(points_off_lattice(payload.data) for _, payload, _ in layers)
     filled = [sweep for sweep, _, _ in layers if len(sweep)]
     told = [n for sweep in filled if (n := _told_returns(sweep, sensor.n_lasers)) is not None]
-    if not told or len(told) < len(filled) or 2 * off > sum(len(sweep) for sweep in filled):
+    if not told or len(told) < len(filled):
+        return {}
+    off = sum(points_off_lattice(payload.data) for _, payload, _ in layers)
+    if 2 * off > sum(len(sweep) for sweep in filled):
         return {}
     return {"laser_returns": np.sum(told, axis=0, dtype=np.int32)}
 

@@ -48,8 +48,7 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
         found = _ouster(model)
         return _polished(found, points, laser)
     reach = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1))
-    order = np.random.default_rng(0).permutation(np.flatnonzero((laser >= 0) & (reach > _NEAR)))
-    own = [order[laser[order] == k] for k in range(model.n_lasers)]
+    own = _by_laser(laser, reach, model.n_lasers)
     few = [own[k][:_FEW] for k in sorted(range(model.n_lasers), key=lambda k: -len(own[k]))[:_CHOSEN]]
     best: tuple[float, Driver] | None = None
     for single in (False, True):
@@ -88,8 +87,7 @@ def find_unit(model: SensorModel, points: F32, ring: I64 | None = None) -> Senso
     if ring is not None:
         laser = _of_rings(ring, laser, model.n_lasers)
     reach = np.sqrt((wide**2).sum(axis=1))
-    order = np.random.default_rng(0).permutation(np.flatnonzero((laser >= 0) & (reach > _NEAR)))
-    own = [order[laser[order] == k] for k in range(model.n_lasers)]
+    own = _by_laser(laser, reach, model.n_lasers)
     d = _ranges(np.nan_to_num(reach, posinf=0.0), model.count, kind.single)
     sine, rows = SINES.index(kind.sine), kind.lasers.copy()
     known = [k for k in sorted(range(model.n_lasers), key=lambda k: -len(own[k])) if len(own[k]) >= _FEWER]
@@ -103,6 +101,12 @@ def find_unit(model: SensorModel, points: F32, ring: I64 | None = None) -> Senso
             rows[k] = row
     found = with_driver(model, replace(kind, lasers=rows))
     return replace(found, shift=model.shift, bit_identical_share=round(share_identical(found, points), 6))
+
+
+def _by_laser(laser: I64, reach: F64, lasers: int) -> list[I64]:
+    """Return which points ``(N,)`` are of each laser, in no order; those next to the sensor are left out."""
+    order = np.random.default_rng(0).permutation(np.flatnonzero((laser >= 0) & (reach > _NEAR)))
+    return [order[laser[order] == k] for k in range(lasers)]
 
 
 def _of_rings(ring: I64, laser: I64, lasers: int) -> I64:

@@ -30,14 +30,7 @@ def around(here: float, last: int, ticks: int, azimuth: NDArray[np.float64], lin
     Returns:
         the nearest; its neighbour beyond ``here``, or else the one on this side; the way (0, 1) from the nearest on which a point here goes.
     """
-    at, off = last, _apart(here, azimuth[last], ticks)
-    for way in (1, 0):
-        for _ in range(_STEPS):
-            step = links[at, way]
-            nearer = _apart(here, azimuth[step], ticks)
-            if not abs(nearer) < abs(off):
-                break
-            at, off = step, nearer
+    at, off = _nearest_from(here, last, ticks, azimuth, links)
     for way in (1, 0):
         beyond = _apart(here, azimuth[links[at, way]], ticks)
         if off * beyond < 0.0 and abs(beyond) < _NEAR * ticks:
@@ -79,13 +72,8 @@ def _apart(a: float, b: float, ticks: int) -> float:
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def nearest_of(here, other, cursor, k, side, ticks, azimuth, links, ends):  # type: ignore[no-untyped-def]
-    """Find the point of laser ``other``, which has some, nearest to azimuth ``here``, from where ``cursor[k, side]`` was; and how far off it is."""
-    at = cursor[k, side]
-    if at < 0:
-        first, last = ends[other, 0], ends[other, 1]
-        near = abs(_apart(here, azimuth[first], ticks)) < abs(_apart(here, azimuth[last], ticks))
-        at = first if near else last
+def _nearest_from(here, at, ticks, azimuth, links):  # type: ignore[no-untyped-def]
+    """Go along a ring from the point ``at`` both ways while that is nearer to azimuth ``here``; return the point, and how far off it is."""
     off = _apart(here, azimuth[at], ticks)
     for way in (1, 0):
         for _ in range(_STEPS):
@@ -94,6 +82,29 @@ def nearest_of(here, other, cursor, k, side, ticks, azimuth, links, ends):  # ty
             if not abs(nearer) < abs(off):
                 break
             at, off = step, nearer
+    return at, off
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def mean_error(errors, p, place, upper, lower):  # type: ignore[no-untyped-def]
+    """How far off the guess p was at the points around (-1: none), as a share of the distance."""
+    error, seen = 0.0, 0.0
+    for j in (place, upper, lower):
+        if j >= 0:
+            error += errors[j, p] * (1.0 / 65535.0)
+            seen += 1.0
+    return error / seen + 5e-5 if seen > 0.0 else 0.5
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def nearest_of(here, other, cursor, k, side, ticks, azimuth, links, ends):  # type: ignore[no-untyped-def]
+    """Find the point of laser ``other``, which has some, nearest to azimuth ``here``, from where ``cursor[k, side]`` was; and how far off it is."""
+    at = cursor[k, side]
+    if at < 0:
+        first, last = ends[other, 0], ends[other, 1]
+        near = abs(_apart(here, azimuth[first], ticks)) < abs(_apart(here, azimuth[last], ticks))
+        at = first if near else last
+    at, off = _nearest_from(here, at, ticks, azimuth, links)
     cursor[k, side] = at
     return at, off
 
@@ -164,12 +175,7 @@ def guess_inverse(  # type: ignore[no-untyped-def]
     for p in range(len(guess)):
         guess[p] = min(max(guess[p], 1.0 / 1000.0), 10.0)
         low, high = min(low, guess[p]), max(high, guess[p])
-        error, seen = 0.0, 0.0
-        for j in (place, upper, lower):
-            if j >= 0:
-                error += errors[j, p] * (1.0 / 65535.0)
-                seen += 1.0
-        error = error / seen + 5e-5 if seen > 0.0 else 0.5
+        error = mean_error(errors, p, place, upper, lower)
         weight = 1.0 / (error * error)
         weight = weight * weight
         total += weight

@@ -26,18 +26,19 @@ from salpcc.stages.entropy.mixed_numbers import (
 )
 from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import Buffer, State
-from salpcc.stages.strays.aimed.aimed_neighbours import nearest_of
+from salpcc.stages.strays.aimed.aimed_neighbours import mean_error, nearest_of
 from salpcc.stages.strays.learned.moved_sweep import Turn
+from salpcc.stages.strays.timeline import LASERS
 
-_SIZES, _SPREADS, _SIGNED, _LASERS = 16, 12, 9, 256
-_CONTEXTS = (_SPREADS * _SIZES, _SPREADS * _SIGNED * _SIGNED, _SPREADS * _SIGNED * _SIGNED, _LASERS)
-_FIRST = first_places(_CONTEXTS)
-_TOOK = np.array([0, 1, 2, 4])  # of the guesses of 1/d: same, straight on, above, below
+SIZES, SPREADS, SIGNED = 16, 12, 9
+CONTEXTS = (SPREADS * SIZES, SPREADS * SIGNED * SIGNED, SPREADS * SIGNED * SIGNED, LASERS)
+FIRST = first_places(CONTEXTS)
+TOOK = np.array([0, 1, 2, 4])  # of the guesses of 1/d: same, straight on, above, below
 _SWEEPS, _BEFORE = 2, 2  # the sweep before as it was, and as it is seen now; guesses by each
-_OWN = len(_TOOK) + 2  # other guesses
+_OWN = len(TOOK) + 2  # other guesses
 _MOST = _OWN + _SWEEPS * _BEFORE
 _NEAR, _NEAR_MOVED = 0.0005, 0.001  # turns; what was farther off in the sweep before says nothing
-_WIDER, _LEAST, _LEAST_BEFORE = 0.3, 0.25, 0.4  # widths: of how far off a guess was, and at least, in levels
+WIDER, LEAST, _LEAST_BEFORE = 0.3, 0.25, 0.4  # widths: of how far off a guess was, and at least, in levels
 _UNKNOWN = 0.02  # of the distance
 
 I64 = NDArray[np.int64]
@@ -77,7 +78,7 @@ class CountSeen(NamedTuple):
 def new_count_models() -> CountModels:
     """Return fresh models."""
     return CountModels(
-        new_numbers(int(_FIRST[-1]), 2 * _SPREADS, len(_CONTEXTS)), np.ones((2, _MOST), np.float64)
+        new_numbers(int(FIRST[-1]), 2 * SPREADS, len(CONTEXTS)), np.ones((2, _MOST), np.float64)
     )
 
 
@@ -86,15 +87,15 @@ def no_counts(n: int, before: Turn, seen: Turn) -> CountSeen:
     return CountSeen(
         before,
         seen,
-        np.full((_LASERS, _SWEEPS), -1),
+        np.full((LASERS, _SWEEPS), -1),
         np.zeros((n, _SWEEPS)),
         np.full(n, -1),
         np.zeros((n, _SWEEPS * _BEFORE), np.float32),
         np.zeros(n, np.float32),
         np.zeros(n, np.uint8),
         new_guesses(_MOST),
-        np.zeros(len(_CONTEXTS), np.int64),
-        np.zeros(len(_CONTEXTS)),
+        np.zeros(len(CONTEXTS), np.int64),
+        np.zeros(len(CONTEXTS)),
     )
 
 
@@ -125,10 +126,8 @@ def with_change(was: F64, w: int, i: int, place: int, inverse: F64) -> float:
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def _guess_before(seen: CountSeen, w, i, place, upper, lower, scale, spread, trust, of, inverse, n):  # type: ignore[no-untyped-def]
-    """Add guesses by the sweep before, which had something at ``seen.was[i, w]``; return how many there are now."""
-    was, off, guesses = seen.was, seen.off, seen.guesses
-    d0, unit, middle = scale
+def off_before(was, off, w: int, place: int, upper: int, lower: int):  # type: ignore[no-untyped-def]
+    """How far off the two guesses by the sweep before ``w`` were at the points around (-1: none)."""
     near = far = count = 0.0
     for j in (place, upper, lower):
         if j >= 0 and was[j, w] > 0.0:
@@ -137,14 +136,51 @@ def _guess_before(seen: CountSeen, w, i, place, upper, lower, scale, spread, tru
             count += 1.0
     near = near / count if count > 0.0 else _UNKNOWN
     far = far / count if count > 0.0 else _UNKNOWN
+    return near, far
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def weigh_before(guesses: Guesses, n: int, wide: float, which: int, spread: float, trust: float) -> None:
+    """Fill width and weight of guess n, by the sweep before (``which`` 0), or by what has changed since (1), that may be ``wide`` off."""
+    guesses.per[n] = 1.0 / (wide * WIDER + _LEAST_BEFORE)
+    guesses.weight[n] = trust * (1.0 if which == 0 else 0.3) * spread / (wide + spread + 0.1)
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def fill_places(
+    places: I64,
+    k: int,
+    apart: float,
+    size: int,
+    wide: int,
+    of_place: int,
+    of_before: int,
+    missed: int,
+    above: int,
+) -> None:
+    """Fill the contexts of a point of laser k: how far guesses are ``apart``, the ``size`` of the miss before, bucket of the spread,
+    where the guesses of the last point and of the sweep before are, what was missed there and above."""
+    places[0] = bucket_by(apart, 1.0, 1.6, SPREADS) * SIZES + size
+    places[1] = FIRST[1] + (wide * SIGNED + of_place) * SIGNED + of_before
+    places[2] = FIRST[2] + (missed * SIGNED + above) * SPREADS + wide
+    places[3] = FIRST[3] + k
+    for c in range(len(places)):
+        places[c] *= NODES
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def _guess_before(seen: CountSeen, w, i, place, upper, lower, scale, spread, trust, of, inverse, n):  # type: ignore[no-untyped-def]
+    """Add guesses by the sweep before, which had something at ``seen.was[i, w]``; return how many there are now."""
+    was, off, guesses = seen.was, seen.off, seen.guesses
+    d0, unit, middle = scale
+    near, far = off_before(was, off, w, place, upper, lower)
     for which in range(_BEFORE):
         if which == 1 and (place < 0 or was[place, w] == 0.0):
             break
         value = was[i, w] if which == 0 else with_change(was, w, i, place, inverse)
         wide = (near if which == 0 else far) / was[i, w] / unit
         guesses.mean[n] = (1.0 / value - d0) / unit - middle
-        guesses.per[n] = 1.0 / (wide * _WIDER + _LEAST_BEFORE)
-        guesses.weight[n] = trust[of, n] * (1.0 if which == 0 else 0.3) * spread / (wide + spread + 0.1)
+        weigh_before(guesses, n, wide, which, spread, trust[of, n])
         n += 1
     return n
 
@@ -171,16 +207,11 @@ def code_count(  # type: ignore[no-untyped-def]
     spread /= unit
     apart /= unit
     n, total = 0, 0.0
-    for p in _TOOK:
-        off, count = 0.0, 0.0
-        for j in (place, upper, lower):
-            if j >= 0:
-                off += errors[j, p] * (1.0 / 65535.0)
-                count += 1.0
-        off = off / count + 5e-5 if count > 0.0 else 0.5
+    for p in TOOK:
+        off = mean_error(errors, p, place, upper, lower)
         d = 1.0 / guess[p]
         guesses.mean[n] = (d - d0) / unit - middle
-        guesses.per[n] = 1.0 / (off * d / unit * _WIDER + _LEAST)
+        guesses.per[n] = 1.0 / (off * d / unit * WIDER + LEAST)
         guesses.weight[n] = 1.0 / (off * off)
         total += guesses.weight[n]
         n += 1
@@ -189,7 +220,7 @@ def code_count(  # type: ignore[no-untyped-def]
     for wide in (0.5, 1.5):
         guesses.mean[n], guesses.per[n], guesses.weight[n] = (
             together,
-            1.0 / (spread * wide + _LEAST),
+            1.0 / (spread * wide + LEAST),
             trust[of, n],
         )
         n += 1
@@ -210,20 +241,15 @@ def code_count(  # type: ignore[no-untyped-def]
                 seen.there[i] = before.places[at]
             n = _guess_before(seen, w, i, place, upper, lower, scale, spread, trust, of, inverse, n)
     centre = min(max(weigh(guesses, n, together), 0.0), np.float64(most))
-    size = np.int64(seen.sizes[place]) if place >= 0 else _SIZES - 1
-    wide = bucket_by(spread, 0.5, 1.6, _SPREADS)
+    size = np.int64(seen.sizes[place]) if place >= 0 else SIZES - 1
+    wide = bucket_by(spread, 0.5, 1.6, SPREADS)
     grain = 1.0 / (spread + 0.5)
     of_place = signed_bucket((guesses.mean[0] - centre) * grain)
     best = was[i, 1] if was[i, 1] > 0.0 else was[i, 0]
     of_before = signed_bucket(((1.0 / best - d0) / unit - middle - centre) * grain) if best > 0.0 else 4
     missed = signed_bucket(seen.missed[place]) if place >= 0 else 4
     missed_above = signed_bucket(seen.missed[upper]) if upper >= 0 else 4
-    places[0] = bucket_by(apart, 1.0, 1.6, _SPREADS) * _SIZES + size
-    places[1] = _FIRST[1] + (wide * _SIGNED + of_place) * _SIGNED + of_before
-    places[2] = _FIRST[2] + (missed * _SIGNED + missed_above) * _SPREADS + wide
-    places[3] = _FIRST[3] + k
-    for c in range(len(places)):
-        places[c] *= NODES
+    fill_places(places, k, apart, size, wide, of_place, of_before, missed, missed_above)
     found = code_mixed_number(
         writing,
         state,
@@ -234,13 +260,13 @@ def code_count(  # type: ignore[no-untyped-def]
         n,
         models.numbers,
         places,
-        of * _SPREADS + wide,
+        of * SPREADS + wide,
         seen.opinions,
     )
     found = min(max(found, 0), most)
     learn_trust(found, guesses, n, trust, of)
     seen.missed[i] = (found - centre) * grain
-    seen.sizes[i] = min(size_of(abs(found - np.int64(np.floor(centre + 0.5)))), _SIZES - 1)
+    seen.sizes[i] = min(size_of(abs(found - np.int64(np.floor(centre + 0.5)))), SIZES - 1)
     d = max((found + middle) * unit + d0, 1e-3)
     for w in range(_SWEEPS):
         if was[i, w] == 0.0:

@@ -14,11 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.mixed_numbers import (
-    NODES,
     Guesses,
     Numbers,
     code_mixed_number,
-    first_places,
     learn_trust,
     new_guesses,
     new_numbers,
@@ -27,27 +25,32 @@ from salpcc.stages.entropy.mixed_numbers import (
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
 from salpcc.stages.lattice.trig import TWO_PI
-from salpcc.stages.strays.aimed.aimed_neighbours import nearest_of
-from salpcc.stages.strays.learned.learned_counts import bucket_by, signed_bucket, with_change
+from salpcc.stages.strays.aimed.aimed_neighbours import mean_error, nearest_of
+from salpcc.stages.strays.learned.learned_counts import (
+    CONTEXTS,
+    FIRST,
+    LEAST,
+    SIGNED,
+    SIZES,
+    SPREADS,
+    TOOK,
+    WIDER,
+    bucket_by,
+    fill_places,
+    off_before,
+    signed_bucket,
+    weigh_before,
+    with_change,
+)
 from salpcc.stages.strays.learned.moved_sweep import Turn
 from salpcc.stages.strays.rays.ray_forms import GRID, HALVES, coordinate_of, whole_of
 from salpcc.stages.strays.timeline import LASERS
 
-_SIZES, _SPREADS, _SIGNED = 16, 12, 9
-_REACH = (_SPREADS * _SIZES, _SPREADS * _SIGNED * _SIGNED, _SPREADS * _SIGNED * _SIGNED, LASERS)
-_FIRST_REACH = first_places(_REACH)
-_WIDTHS, _LOOSE, _PARTS, _HALVES = (
-    16,
-    16,
-    8,
-    4,
-)  # contexts of the other coordinates: widths, and where between two whole numbers
-_TOOK = np.array([0, 1, 2, 4])  # of the guesses of 1/d: same, straight on, above, below
+# Contexts of the other coordinates: widths, and where between two whole numbers.
+_WIDTHS, _LOOSE, _PARTS, _HALVES = 16, 16, 8, 4
 _BEFORE = 2  # guesses by the sweep before
-_MOST = len(_TOOK) + _BEFORE
+_MOST = len(TOOK) + _BEFORE
 _NEAR = 0.001  # turns; what was farther off says nothing
-_WIDER, _LEAST, _LEAST_BEFORE = 0.3, 0.25, 0.4  # widths: of how far off a guess was, and at least, in grains
-_UNKNOWN = 0.02  # of the distance
 _UP = 2e-5  # radians that elevations are off
 _STRAYS = 3e-5  # radians that a sensor's turning strays from point to point
 _AT_FIRST = 1e-3  # radians that it may have strayed before
@@ -96,10 +99,10 @@ class RaySeen(NamedTuple):
 def new_ray_models() -> RayModels:
     """Return fresh models."""
     return RayModels(
-        new_numbers(int(_FIRST_REACH[-1]), 2 * _SPREADS, len(_REACH)),
+        new_numbers(int(FIRST[-1]), 2 * SPREADS, len(CONTEXTS)),
         np.ones((2, _MOST)),
         new_bits(2 * _WIDTHS * _PARTS * PER_CONTEXT),
-        new_bits(2 * _LOOSE * _HALVES * _SIGNED * PER_CONTEXT),
+        new_bits(2 * _LOOSE * _HALVES * SIGNED * PER_CONTEXT),
         np.zeros(LASERS),
     )
 
@@ -110,7 +113,7 @@ def no_rays(n: int, before: Turn) -> RaySeen:
         before, np.full((LASERS, 1), -1), np.zeros((n, 1)), np.full(n, -1), np.zeros((n, _BEFORE), np.float32),
         np.zeros(n, np.float32), np.zeros(n, np.uint8), np.zeros((n, 2), np.float32),
         np.full(LASERS, _AT_FIRST * _AT_FIRST),
-        new_guesses(_MOST), np.zeros(len(_REACH), np.int64), np.zeros(len(_REACH)),
+        new_guesses(_MOST), np.zeros(len(CONTEXTS), np.int64), np.zeros(len(CONTEXTS)),
     )  # fmt: skip
 
 
@@ -153,16 +156,11 @@ def code_reach(  # type: ignore[no-untyped-def]
     spread *= per_metre
     apart *= per_metre
     n, total = 0, 0.0
-    for p in _TOOK:
-        wide, count = 0.0, 0.0
-        for j in (place, upper, lower):
-            if j >= 0:
-                wide += errors[j, p] * (1.0 / 65535.0)
-                count += 1.0
-        wide = wide / count + 5e-5 if count > 0.0 else 0.5
+    for p in TOOK:
+        wide = mean_error(errors, p, place, upper, lower)
         far = 1.0 / guess[p]
         guesses.mean[n] = _scaled(o + far * d, form, per)
-        guesses.per[n] = 1.0 / (wide * far * per_metre * _WIDER + _LEAST)
+        guesses.per[n] = 1.0 / (wide * far * per_metre * WIDER + LEAST)
         guesses.weight[n] = 1.0 / (wide * wide)
         total += guesses.weight[n]
         n += 1
@@ -174,48 +172,33 @@ def code_reach(  # type: ignore[no-untyped-def]
         at, away = nearest_of(azimuth[i], k, seen.cursor, k, 0, TWO_PI, seen.before.azimuth, links, ends)
         if abs(away) < _NEAR * TWO_PI:
             was[i, 0], seen.there[i] = seen.before.inverse[at], there[at]
-            near = far = count = 0.0
-            for j in (place, upper, lower):
-                if j >= 0 and was[j, 0] > 0.0:
-                    near += off[j, 0]
-                    far += off[j, 1]
-                    count += 1.0
-            near = near / count if count > 0.0 else _UNKNOWN
-            far = far / count if count > 0.0 else _UNKNOWN
+            near, far = off_before(was, off, 0, place, upper, lower)
             for which in range(_BEFORE):
                 if which == 1 and (place < 0 or was[place, 0] == 0.0):
                     break
                 value = was[i, 0] if which == 0 else with_change(was, 0, i, place, inverse)
                 wide = (near if which == 0 else far) / was[i, 0] * per_metre
                 guesses.mean[n] = _scaled(o + d / value, form, per)
-                guesses.per[n] = 1.0 / (wide * _WIDER + _LEAST_BEFORE)
-                guesses.weight[n] = (
-                    trust[of, n] * (1.0 if which == 0 else 0.3) * spread / (wide + spread + 0.1)
-                )
+                weigh_before(guesses, n, wide, which, spread, trust[of, n])
                 n += 1
     centre = weigh(guesses, n, together)
     side = 1.0 if d >= 0.0 else -1.0
     grain = side / (spread + 0.5)
-    size = np.int64(seen.sizes[place]) if place >= 0 else _SIZES - 1
-    wide_bucket = bucket_by(spread, 0.5, 1.6, _SPREADS)
+    size = np.int64(seen.sizes[place]) if place >= 0 else SIZES - 1
+    wide_bucket = bucket_by(spread, 0.5, 1.6, SPREADS)
     of_before = 4
     if was[i, 0] > 0.0:
         of_before = signed_bucket((_scaled(o + d / was[i, 0], form, per) - centre) * grain)
     of_place = signed_bucket((guesses.mean[0] - centre) * grain)
     missed = signed_bucket(seen.missed[place]) if place >= 0 else 4
     missed_above = signed_bucket(seen.missed[upper]) if upper >= 0 else 4
-    places[0] = bucket_by(apart, 1.0, 1.6, _SPREADS) * _SIZES + size
-    places[1] = _FIRST_REACH[1] + (wide_bucket * _SIGNED + of_place) * _SIGNED + of_before
-    places[2] = _FIRST_REACH[2] + (missed * _SIGNED + missed_above) * _SPREADS + wide_bucket
-    places[3] = _FIRST_REACH[3] + k
-    for c in range(len(places)):
-        places[c] *= NODES
+    fill_places(places, k, apart, size, wide_bucket, of_place, of_before, missed, missed_above)
     found = code_mixed_number(
-        writing, state, data, wanted, centre, guesses, n, models.reach, places, of * _SPREADS + wide_bucket, seen.opinions
+        writing, state, data, wanted, centre, guesses, n, models.reach, places, of * SPREADS + wide_bucket, seen.opinions
     )  # fmt: skip
     learn_trust(found, guesses, n, trust, of)
     seen.missed[i] = min(max((found - centre) * grain, -100.0), 100.0)
-    seen.sizes[i] = min(size_of(abs(found - np.int64(np.floor(centre + 0.5)))), _SIZES - 1)
+    seen.sizes[i] = min(size_of(abs(found - np.int64(np.floor(centre + 0.5)))), SIZES - 1)
     return found
 
 
@@ -248,7 +231,7 @@ def code_aside(  # type: ignore[no-untyped-def]
     of_loose = (c - 1) * _LOOSE + bucket_by(loose, 0.05, 2.0, _LOOSE)
     off = code_number(
         writing, state, data, models.widths, of_wide * _PARTS + part,
-        models.misses, (of_loose * _HALVES + part * _HALVES // _PARTS) * _SIGNED + own, wanted - whole,
+        models.misses, (of_loose * _HALVES + part * _HALVES // _PARTS) * SIGNED + own, wanted - whole,
     )  # fmt: skip
     seen.beside[i, c - 1] = min(max((whole + off - middle) / (wide * 0.5 + loose + 0.25), -100.0), 100.0)
     return whole + off
