@@ -11,6 +11,7 @@ from rich.filesize import decimal
 from rich.table import Table
 
 from salpcc.pipeline.cli.summary import layers_in_words, smaller
+from salpcc.stages.evaluate.measures.metrics import SOURCE_BYTES_PER_POINT
 
 STREAMS = ("geometry", "intensity", "classes", "side")
 _MOST_NAMES = 12  # of side files
@@ -74,7 +75,9 @@ def _facts(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if points:
         beside = found["bytes_passing"] + found["bytes_labels"] + sum(found["side_files"].values())
         coded = found["bytes"] - beside
-        yield "size", f"{smaller(points, coded)}, {8 * coded / points:.2f} bits a point"
+        # Points of a log have any number of fields, which the index does not say.
+        size = decimal(coded) if found["topics"] else smaller(SOURCE_BYTES_PER_POINT * points, coded)
+        yield "size", f"{size}, {8 * coded / points:.2f} bits a point"
     else:
         yield "size", decimal(found["bytes"])
 

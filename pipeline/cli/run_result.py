@@ -6,7 +6,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -76,15 +76,14 @@ def _show(result: RunResult, out: Path, json_: bool, names: list[str], seconds: 
     console.print(f"archives: {out / 'archives'}\nreport: {out / 'report' / 'index.html'}", soft_wrap=True)
 
 
-def _cells(figures: dict[str, object]) -> list[str]:
-    bpp = figures["bpp"]
-    assert isinstance(bpp, dict)
+def _cells(figures: dict[str, Any]) -> list[str]:
+    bpp, sizes, source = figures["bpp"], figures["bytes"], figures["bytes_source"]
     error = figures["max_error_m"]
     return [
         str(figures["frames"]),
         str(figures["points_in"]),
         *(f"{bpp[key]:.2f}" if bpp[key] is not None else "-" for key in ("geometry", "intensity", "total")),
-        f"{figures['compression_rate_percent']:.2f}",
-        "exact" if error == 0 else "-" if error is None else f"{1e3 * float(str(error)):.2f} mm",
+        f"{100 * sizes['total'] / source:.2f}" if source else "-",
+        "exact" if error == 0 else "-" if error is None else f"{1e3 * error:.2f} mm",
         str(figures["points_on_fallback"]),
     ]

@@ -8,12 +8,9 @@ from typing import Any
 
 from rich.filesize import decimal
 
-RAW = 16  # bytes of a point as four float32
 
-
-def smaller(points: int, coded: int) -> str:
-    """How many times smaller an archive is than its points as float32 x, y, z, intensity, and both sizes."""
-    raw = RAW * points
+def smaller(raw: int, coded: int) -> str:
+    """How many times smaller an archive is than the bytes of its points in the source, and both sizes."""
     return f"{raw / coded if coded else 0:.1f} : 1, {decimal(raw)} to {decimal(coded)}"
 
 
@@ -34,7 +31,7 @@ def summary(sequences: Iterable[dict[str, Any]], seconds: float) -> Iterator[str
     if not points:
         yield f"{scans} scans without a point, {decimal(coded)}"
         return
-    yield f"{smaller(points, coded)}, {8 * coded / points:.2f} bits a point"
+    yield f"{smaller(total('bytes_source'), coded)}, {8 * coded / points:.2f} bits a point"
     errors = [one["max_error_m"] for one in figures if one["max_error_m"] is not None]
     if exact == scans:
         yield "every bit of every point that is kept came back"

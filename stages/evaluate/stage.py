@@ -21,7 +21,12 @@ from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import KEPT
 from salpcc.stages.evaluate.measures.match import kept_points
-from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits, symmetric_distance
+from salpcc.stages.evaluate.measures.metrics import (
+    SOURCE_BYTES_PER_POINT,
+    point_errors,
+    same_bits,
+    symmetric_distance,
+)
 from salpcc.stages.evaluate.report.schema import METRICS, VERSION
 from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
@@ -79,6 +84,9 @@ def run(
         row = _sizes(payload) | {"sequence": sequence, "gop": gop, "time": scan.time, "decode_ms": decode_ms}
         row["points_decoded"] = len(scan)
         row["motion"] = scan.motion
+        row["bytes_source"] = row["points_in"] * (
+            scan.cloud.layout.point_step if scan.cloud else SOURCE_BYTES_PER_POINT
+        )
         source = next(sources, None)
         if source is not None:
             known = _known(source, dropped or {})

@@ -396,6 +396,8 @@ def test_reports_and_verifies_like_any_run(logs: Path, coded: Path) -> None:
     figures = report["sequences"]["sqlite"]
     assert (figures["frames"], figures["bit_exact_scans"]) == (8, 8)
     assert figures["points_in"] == figures["points_decoded"]
+    others = 3 * 800 * 32 + 2 * 300 * 33  # bytes of /organised and /map; the third topic has 16 a point
+    assert figures["bytes_source"] == 16 * (figures["points_in"] - 3000) + others
     for name in NAMES:
         verdict = verify(coded / "archives" / f"{name}.mcap", find_log(logs, name))
         assert verdict.good and verdict.bit_exact_scans == 8

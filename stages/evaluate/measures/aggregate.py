@@ -46,6 +46,7 @@ def figures(metrics: pa.Table, times: pa.Table, container_bytes: int = 0) -> dic
         "points_on_fallback": total(metrics, "points_on_fallback"),
         "bytes": sizes,
         "bytes_container": container_bytes,
+        "bytes_source": total(metrics, "bytes_source"),
         "bpp": {key: bits_per_point(sizes[key], points) for key in ("geometry", "intensity", "total")},
         "compression_rate_percent": compression_rate(sizes["total"], points),
         "geometry_rate_percent": compression_rate(sizes["geometry"], points),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-VERSION = 9
+VERSION = 10
 
 # One row per scan, measured on what was decoded from the archive. A null in a measured column means that
 # there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
@@ -31,6 +31,7 @@ METRICS = pa.schema(
         ("bytes_intensity", pa.int64()),
         ("bytes_classes", pa.int64()),
         ("bytes_side", pa.int64()),
+        ("bytes_source", pa.int64()),  # of the recorded points, every field of a message
         ("points_compared", pa.int64()),
         ("max_error_m", pa.float64()),  # 3-D, point by point in file order
         ("max_axis_error_m", pa.float64()),  # largest of |dx|, |dy|, |dz|

@@ -12,6 +12,7 @@ from salpcc.pipeline.cli.summary import summary
 def figures(**changed: Any) -> dict[str, Any]:
     base = {
         "frames": 10, "points_in": 1_000_000, "points_dropped_movable": 0, "points_lost": 0, "bytes": {"total": 1_250_000},
+        "bytes_source": 16_000_000,
         "max_error_m": 0.0, "bit_exact_scans": 10, "encode_ms_per_scan": 210.6, "decode_ms_per_scan": 219.1,
     }  # fmt: skip
     return base | changed

@@ -76,7 +76,7 @@ def headline(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     if not total["frames"]:
         return []
     claims = [
-        (f"{total['compression_rate_percent']:.2f} %", "of the source size (16 B per point)"),
+        (f"{total['compression_rate_percent']:.2f} %", "of 16 B per point (x, y, z, intensity)"),
         (f"{total['bpp']['geometry']:.2f}", "bits per point for geometry"),
         (f"{total['bpp']['intensity']:.2f}", "bits per point for intensity"),
     ]
