@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -111,30 +111,52 @@ def follow(clouds: Iterable[Thinned], given: F64 | None = None) -> Iterator[Regi
 
     Each is tried from its own motion, then from the motion of the one before, then from ``given`` poses ``(n, 4, 4)``. One
     that fits from none of them is told by ``good``; it stands where given poses, else the motion before, say, and a new map
-    begins there.
+    begins there. One of too few points to be registered (a sensor that was covered) stands on the way from the one before
+    it to the one after.
     """
-    clouds = iter(clouds)
-    opening = list(islice(clouds, 2))
-    if not opening:
-        return
-    steps = _Steps(given, _first_motion(opening, given))
+    numbered = enumerate(clouds)
+    opening: list[tuple[int, Thinned]] = []
+    for turn in numbered:
+        opening.append(turn)
+        if sum(_fit(cloud) for _, cloud in opening) == 2:
+            break
+    steps = _Steps(given, _first_motion([turn for turn in opening if _fit(turn[1])], given))
     target = LocalMap()
-    before: Thinned | None = None
-    pose, at = np.eye(4), 0
-    for at, cloud in enumerate(chain(opening, clouds)):
+    before: tuple[int, Thinned] | None = None
+    pose, waiting = np.eye(4), list[int]()
+    for at, cloud in chain(opening, numbered):
+        if not _fit(cloud):
+            waiting.append(cloud.number)
+            continue
         if before is None:
-            found = Registered(pose, 1.0, len(cloud.points) >= _FEWEST)
+            found = Registered(pose, 1.0, True)
+            yield from (Registered(pose, 0.0, True) for _ in waiting)
         else:
-            found = _place(
-                cloud, pose, steps.guesses(at, before, cloud), target, cloud.number - before.number
-            )
+            turns = max(cloud.number - before[1].number, 1)
+            found = _place(cloud, pose, steps.guesses(before, (at, cloud)), target, turns)
             if not found.good:
                 target = LocalMap()
-            steps.took(inverse(pose) @ found.pose, cloud.number - before.number)
-        pose = found.pose
+            steps.motion = motion_of(inverse(pose) @ found.pose, turns)
+            yield from _on_the_way(pose, steps.motion, before[1].number, waiting)
+        pose, waiting = found.pose, []
         target.insert(distributions(cloud.at(steps.motion)), pose)
         yield found
-        before = cloud
+        before = at, cloud
+    if before is not None:
+        yield from _on_the_way(pose, steps.motion, before[1].number, waiting)
+    else:
+        yield from (Registered(pose, 0.0, False) for _ in waiting)
+
+
+def _fit(cloud: Thinned) -> bool:
+    """Tell whether a cloud has points enough to be registered."""
+    return len(cloud.points) >= _FEWEST
+
+
+def _on_the_way(pose: F64, motion: F64, number: int, numbers: Iterable[int]) -> Iterator[Registered]:
+    """Yield where the turns ``numbers`` stand after the turn ``number`` at ``pose``."""
+    for later in numbers:
+        yield Registered(pose @ step_of(motion, later - number), 0.0, True)
 
 
 class _Steps:
@@ -143,13 +165,12 @@ class _Steps:
     def __init__(self, given: F64 | None, motion: F64) -> None:
         self.given, self.motion = given, motion
 
-    def took(self, step: F64, turns: int) -> None:
-        self.motion = motion_of(step, max(turns, 1))
-
-    def guesses(self, at: int, before: Thinned, cloud: Thinned) -> list[F64]:
-        turns = max(cloud.number - before.number, 1)
+    def guesses(self, before: tuple[int, Thinned], after: tuple[int, Thinned]) -> list[F64]:
+        """Return steps from one cloud to another, each given with its place among the given poses."""
+        (here, start), (there, cloud) = before, after
+        turns = max(cloud.number - start.number, 1)
         own = [] if cloud.motion is None else [step_of(cloud.motion, turns)]
-        said = [] if self.given is None else [inverse(self.given[at - 1]) @ self.given[at]]
+        said = [] if self.given is None else [inverse(self.given[here]) @ self.given[there]]
         return [*own, step_of(self.motion, turns), *said]
 
 
@@ -157,28 +178,34 @@ def _place(cloud: Thinned, before: F64, guesses: list[F64], target: LocalMap, tu
     """Register a cloud to the map, from each guess of its step until one holds; twice where it is de-skewed by its step."""
     found = Registered(before @ guesses[-1], 0.0, False)
     for step in guesses:
-        found = target.register(distributions(cloud.at(motion_of(step, max(turns, 1)))), before @ step)
+        found = target.register(distributions(cloud.at(motion_of(step, turns))), before @ step)
         if found.good and not cloud.compensated:
             step = inverse(before) @ found.pose
-            found = target.register(distributions(cloud.at(motion_of(step, max(turns, 1)))), found.pose)
+            found = target.register(distributions(cloud.at(motion_of(step, turns))), found.pose)
         if found.good:
             return found
     return Registered(before @ guesses[-1], found.overlap, False)
 
 
-def _first_motion(opening: list[Thinned], given: F64 | None) -> F64:
-    """Return the motion ``(6,)`` of the first of two clouds: its own, as given poses say, or by which the second fits it."""
-    if opening[0].motion is not None:
-        return opening[0].motion
-    if len(opening) < 2:
+def _first_motion(opening: list[tuple[int, Thinned]], given: F64 | None) -> F64:
+    """Return the motion ``(6,)`` of the first of two clouds: its own, as given poses say, or by which the second fits it.
+
+    Each is given with its place among the given poses.
+    """
+    if not opening:
         return np.zeros(6)
-    turns = max(opening[1].number - opening[0].number, 1)
+    (here, first), *others = opening
+    if first.motion is not None:
+        return first.motion
+    if not others:
+        return np.zeros(6)
+    ((there, second),) = others
+    turns = max(second.number - first.number, 1)
     if given is not None:
-        return motion_of(inverse(given[0]) @ given[1], turns)
+        return motion_of(inverse(given[here]) @ given[there], turns)
     target = LocalMap()
-    first, second = (distributions(cloud.at(np.zeros(6))) for cloud in opening)
-    target.insert(first, np.eye(4))
-    return motion_of(target.register(second, np.eye(4)).pose, turns)
+    target.insert(distributions(first.at(np.zeros(6))), np.eye(4))
+    return motion_of(target.register(distributions(second.at(np.zeros(6))), np.eye(4)).pose, turns)
 
 
 def distributions(points: F64) -> Cloud:

@@ -1,7 +1,8 @@
-"""Scans that their driver moved to one instant are known by how they fit one another."""
+"""Odometry goes on past scans of few points; scans that a driver moved already are known by how they fit one another."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.mapping.deskew import deskewed, motion_of
+from salpcc.stages.mapping.deskew import deskewed, motion_of, step_of
 from salpcc.stages.mapping.moved_already import moved_already
 from salpcc.stages.mapping.odometry import Thinned, follow, thin
 from salpcc.stages.mapping.poses import inverse, read_poses
@@ -58,3 +59,21 @@ def test_compensated_scans_are_known_and_raw_ones_too(drive: tuple[list[F64], F6
 
 def test_who_stands_is_left_as_it_is(drive: tuple[list[F64], F64]) -> None:
     assert not verdict(clouds([drive[0][0]] * 3))
+
+
+def test_covered_scans_stand_on_the_way(drive: tuple[list[F64], F64]) -> None:
+    """A sensor that sees nothing for a moment, at the start, in the middle and at the end, stops no odometry."""
+    points, motions = drive
+    covered = {0, 3, 4, SCANS - 1}
+    scans = [
+        replace(cloud, points=cloud.points[:9], before=cloud.before[:9]) if k in covered else cloud
+        for k, cloud in enumerate(replace(c, motion=m) for c, m in zip(clouds(points), motions, strict=True))
+    ]
+    found = list(follow(scans))
+    assert [scan.good for scan in found] == [True] * SCANS
+    way = np.eye(4)
+    for k in range(1, SCANS - 1):
+        assert np.linalg.norm(found[k].pose[:3, 3] - way[:3, 3]) < 0.05 * k
+        way = way @ step_of(motions[k], 1)
+    assert np.linalg.norm(found[-1].pose[:3, 3] - way[:3, 3]) < 0.5
+    assert [scan.good for scan in follow([scans[0]] * 2)] == [False] * 2
