@@ -88,6 +88,10 @@ def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recover
     if lost:
         found.notes.append(f"{lost} side files are gone")
     log, damaged = source.passing_log()
+    if not source.ended:
+        found.notes.append(
+            "the end of the file is gone: side files, and what else a log enclosed, are gone, too, if there were more"
+        )
     if damaged:
         found.notes.append(f"{damaged} chunks or attachments of the rest of the log are gone")
     if not found.scans and not found.complete:

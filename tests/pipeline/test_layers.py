@@ -285,6 +285,9 @@ def test_a_truncated_archive_is_recovered(layered: Path, tmp_path: Path) -> None
     bad.write_bytes(layered.read_bytes()[: end + 40])  # the movable layer of GOP 1 is cut off
     found = recover(bad, tmp_path / "new.mcap")
     assert found.scans == 4 and not found.complete
+    assert not ArchiveReader(
+        tmp_path / "new.mcap"
+    ).log  # the channels of its own layers are no topics of a log
     assert len(list(Archive.open(tmp_path / "new.mcap", layers="static"))) == 4
     with Archive.open(tmp_path / "new.mcap") as archive:
         assert len(archive[1]) > 0

@@ -6,7 +6,7 @@ import mmap
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -31,9 +31,13 @@ _HEAD = 9 + 44
 _MOST = 1 << 20  # bytes before the first GOP that channels are looked for in
 
 
-def passing_log(data: mmap.mmap, path: Path) -> tuple[PassingLog | None, int]:
-    """Return what passes through, None where nothing did, and how many pieces of it are damaged."""
-    channels = _channels(data, path)
+def passing_log(data: mmap.mmap, path: Path, own: Collection[int]) -> tuple[PassingLog | None, int]:
+    """Return what passes through, None where nothing did, and how many pieces of it are damaged.
+
+    Args:
+        own: ids of the channels that are the archive's own, besides that of its scans.
+    """
+    channels = _channels(data, path, {1, *own})
     whole = [at for at in _chunks(data) if _messages(data, at, channels) is not None]
     damaged = sum(1 for _ in _chunks(data)) - len(whole)
     if not channels:
@@ -73,7 +77,7 @@ def _messages(data: mmap.mmap, at: int, channels: dict[int, LogChannel]) -> list
         return None
 
 
-def _channels(data: mmap.mmap, path: Path) -> dict[int, LogChannel]:
+def _channels(data: mmap.mmap, path: Path, own: set[int]) -> dict[int, LogChannel]:
     """The channels by the index, whose CRC holds where it can be read; else by the records at the start."""
     try:
         return ArchiveReader(path).log
@@ -85,7 +89,7 @@ def _channels(data: mmap.mmap, path: Path) -> dict[int, LogChannel]:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream(content))
                 schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL and (channel := Channel.read(stream(content))).id > 1:
+            elif opcode == Opcode.CHANNEL and (channel := Channel.read(stream(content))).id not in own:
                 passing = passing_channel(channel, schemas.get(channel.schema_id))
                 found[passing.id] = passing
             elif opcode == Opcode.CHUNK:

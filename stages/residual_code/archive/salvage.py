@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections import Counter
 from dataclasses import replace
@@ -51,6 +52,8 @@ from salpcc.stages.residual_code.sensor import payload
 
 # At least one of them is in whatever part of an archive holds a scan.
 _TRACES = (b"gop.json", b"index.json", b"sensor.json", b"salpcc/")
+# DataEnd, its CRC, and the first schema of the summary.
+_DATA_END = re.compile(rb"\x0f\x04\0{7}.{4}\x03", re.DOTALL)
 _LEAST_GOP = 100  # bytes; so many GOPs at most lie before a byte, whatever a record claims
 
 
@@ -63,6 +66,8 @@ class Salvage:
         names: the scans that each GOP was written with; None where nobody knows.
         notes: what is gone besides scans, one line each.
         all_known: whether it is certain that ``names`` lists all there was.
+        ended: whether the file goes on to the end of its data: side files and what the log enclosed stand there, and
+            nothing else says how many there were.
     """
 
     def __init__(self, path: str | Path, sensor: SensorModel | None = None) -> None:
@@ -85,6 +90,7 @@ class Salvage:
                 f"{self.path}: {kind}, and nothing in it is of an archive of salpcc-pipeline "
                 "(`mcap recover` mends a log, `salpcc-pipeline run log` archives it)"
             )
+        self.ended = _DATA_END.search(self._data) is not None
         self.facts = self._facts(sensor)
         self._index = self._read_index("index.json")
         self._rows = {entry.name: entry for gop in self._index or [] for entry in gop}
@@ -152,7 +158,7 @@ class Salvage:
 
     def passing_log(self) -> tuple[PassingLog | None, int]:
         """Return what passes through, None where nothing did, and how many of its chunks are damaged."""
-        return passing_log(self._data, self.path)
+        return passing_log(self._data, self.path, self._own.values())
 
     def _facts(self, sensor: SensorModel | None) -> ArchiveFacts:
         self._version, about = ARCHIVE_VERSION, {}

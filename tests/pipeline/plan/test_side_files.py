@@ -255,7 +255,7 @@ def test_redaction_leaves_no_label_of_what_went(whole: Path, root: Path, tmp_pat
             assert (left.labels == right.labels[~gone]).all()
 
 
-def test_recovery(whole: Path, tmp_path: Path) -> None:
+def test_recovery(whole: Path, root: Path, tmp_path: Path) -> None:
     """What is whole comes back, labels and side files, too; the names of what is gone are told."""
     data = whole.read_bytes()
     again = recover(whole, tmp_path / "again.mcap")
@@ -273,6 +273,15 @@ def test_recovery(whole: Path, tmp_path: Path) -> None:
     found = recover(bad, tmp_path / "side.mcap")
     assert found.scans == 5 and found.notes == ["1 side files are gone"]
     assert sorted(ArchiveReader(tmp_path / "side.mcap").side) == sorted(reader.side.keys() - {"poses.txt"})
+    bad.write_bytes(data[: at + 10])  # cut off in one side file: others may have been behind it
+    found = recover(bad, tmp_path / "less.mcap")
+    assert (
+        found.scans == 5
+        and found.notes[0] == "1 side files are gone"
+        and "the end of the file" in found.notes[1]
+    )
+    code, said = command("verify", tmp_path / "less.mcap", "--against", root)
+    assert code == 0 and "5 scans bit-exact" in said, said
     end = data.find(b"gop.json", data.find(b"gop.json") + 9)  # the first GOP is whole, nothing behind it
     bad.write_bytes(data[: data.find(b"gop.json", end + 20)])
     found = recover(bad, tmp_path / "cut.mcap")
