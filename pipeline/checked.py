@@ -20,7 +20,7 @@ _LONGEST_NAME = 200  # bytes, as files have an ending besides
 
 
 def checked(scans: Iterable[Scan], config: RunConfig) -> Iterator[Scan]:
-    """Yield the scans with arrays of the types that they are coded as.
+    """Yield the scans with arrays of the types that they are coded as, copies, as whoever makes scans may fill the same arrays again.
 
     Raises:
         UsageError: one is no scan that could come back as it is; the message names it and the remedy.
@@ -52,11 +52,12 @@ def checked(scans: Iterable[Scan], config: RunConfig) -> Iterator[Scan]:
             raise UsageError(f"{where}: a cloud of {len(scan.cloud.rest)} points for {len(points)}")
         yield replace(
             scan,
-            points=points,
-            intensity=intensity,
+            points=points.copy(),
+            intensity=intensity.copy(),
             time=int(scan.time),
-            classes=_classes(scan.classes, len(points), where, config.labels == "given"),
+            classes=_classes(scan.classes, len(points), where, config),
             labels=_labels(scan.labels, len(points), where, labelled) if config.stores_labels else None,
+            cloud=scan.cloud and replace(scan.cloud, rest=scan.cloud.rest.copy()),
         )
 
 
@@ -86,12 +87,12 @@ def _labels(values: Any, n_points: int, where: str, wanted: bool) -> NDArray[np.
         raise KindError(
             f"{where}: labels {array.dtype} of shape {array.shape}; they are whole numbers ({n_points},) of 32 bits"
         )
-    return np.ascontiguousarray(array, np.uint32)
+    return np.array(array, np.uint32)
 
 
-def _classes(values: Any, n_points: int, where: str, needed: bool) -> NDArray[np.uint8] | None:
+def _classes(values: Any, n_points: int, where: str, config: RunConfig) -> NDArray[np.uint8] | None:
     if values is None:
-        if needed:
+        if config.labels == "given":
             raise UsageError(f"{where}: labels are given, but its classes are None")
         return None
     array = array_of(values)
@@ -103,4 +104,6 @@ def _classes(values: Any, n_points: int, where: str, needed: bool) -> NDArray[np
         raise UsageError(
             f"{where}: class {array.max()} is none of 0 to {len(CLASSES) - 1} (salpcc.schemas.labels.CLASSES)"
         )
-    return np.ascontiguousarray(array, np.uint8)
+    if config.labels != "given" and not config.uses_network:
+        raise UsageError(f"{where}: it has classes, and the scans before have none")
+    return np.array(array, np.uint8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pyarrow as pa
 from pydantic import ValidationError
@@ -61,7 +61,8 @@ def encode_scans(
         max_error: metres (3-D) that no point is farther than from its source; None is bit-exact.
         movable_max_error: of the movable layer; 0 is bit-exact, None as ``max_error``.
         keep_movable: all in one layer; else what can move has a layer of its own, or is left out (``drop_movable``).
-        labels: what can move is told by the ``network``, or ``given``: every scan has its ``classes``.
+        labels: what can move is told by the ``network``, or ``given``: every scan has its ``classes``. Scans that have
+            some keep them where the network is not asked.
         classes: store those that the network finds; with an array of points, their own.
         effort: ``fast`` takes less than half the time, ``max`` fewer bits.
         gop: scans a group, the unit of decoding.
@@ -110,22 +111,32 @@ def encode_scans(
         )
     given |= {name: options.pop(name) for name in list(options) if is_array(options[name])}
     if is_array(scans):
+        if own := {"points", "name", "stamp", "frame_id"} & given.keys():
+            raise UsageError(
+                f"a field of points cannot be named {min(own)}, as scan_from_arrays has one of its own"
+            )
         listed: Iterable[Scan] = [scan_from_arrays(scans, intensity, **given)]
     elif given or intensity is not None:
         names = ", ".join([*(["intensity"] if intensity is not None else []), *given])
         raise KindError(
             f"{names}: arrays go with points; of several scans make each by scan_from_arrays(points, …)"
         )
+    elif isinstance(scans, Iterable):
+        listed = scans
     else:
-        listed = cast("Iterable[Scan]", scans)
+        raise KindError(f"{type(scans).__name__} is neither scans nor an array of points")
     config = _config(options)
     target = location(path)
     if target.exists() and not overwrite:
         raise UsageError(f"{target} is there already; overwrite=True replaces it")
     check_name(sequence, "sequence")
-    first_scan = next(coming := checked(listed, config), None)
-    if first_scan is None:
+    taken = iter(listed)
+    first_given = next(taken, None)
+    if first_given is None:
         raise UsageError(f"{target}: there are no scans to encode")
+    if getattr(first_given, "classes", None) is not None and not config.uses_network:
+        config = config.model_copy(update={"labels": "given"})  # nobody tells any others
+    first_scan = next(coming := checked(chain([first_given], taken), config))
     model = load_sensor(config.sensor)
     layered = config.movable == "layered"
     labelled = config.stores_labels and first_scan.labels is not None

@@ -69,6 +69,8 @@ def scan_from_arrays(
     for key, values in fields.items():
         if key in _OWN:
             raise UsageError(f"{where}: {key} is a column of points or intensity already")
+        if not key or not key.isprintable():  # lone surrogates, too
+            raise UsageError(f"{where}: a field named {key!r}; a name is text that can be printed")
         columns[key] = _field(values, len(xyz), f"{where}: {key}")
     kind = np.dtype(
         [(key, column.dtype.newbyteorder("<"), column.shape[1:]) for key, column in columns.items()]
@@ -90,9 +92,13 @@ def scan_from_arrays(
 
 def array_of(values: Any) -> NDArray[Any]:
     """Return an array of what is one; tensors come from their device and leave their gradients behind."""
-    if hasattr(values, "detach"):
-        values = values.detach().cpu()
+    if np.ma.is_masked(values):
+        raise KindError(
+            "an array with masked values, and nothing holds the mask: .filled(numpy.nan), say, or give the mask as a field"
+        )
     try:
+        if hasattr(values, "detach"):
+            values = values.detach().cpu()
         return np.asarray(values)
     except (TypeError, ValueError, RuntimeError) as error:
         raise KindError(f"{type(values).__name__} is no array: {str(error).splitlines()[0]}") from error
@@ -115,7 +121,10 @@ def float32(values: Any, what: str) -> NDArray[np.float32]:
     with np.errstate(over="ignore", invalid="ignore"):
         narrow = np.ascontiguousarray(array, np.float32)
         off = np.abs(narrow.astype(np.float64) - array)
-    if not ((narrow == array) | np.isnan(array)).all():
+        same = (narrow == array) | np.isnan(array)
+        if array.dtype.kind in "iu":  # compared as float64, which does not hold the largest of 64 bits either
+            same = (narrow < 2.0**63) & (narrow.astype(np.int64) == array)
+    if not same.all():
         raise KindError(
             f"{what} of type {array.dtype} that float32 would change by up to {np.nanmax(off):.3g}; take an offset off "
             "them, or round them yourself: .astype(numpy.float32)"

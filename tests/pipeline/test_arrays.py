@@ -1,5 +1,6 @@
 """Scans of arrays with any fields, and what is said of arrays of wrong kinds."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,10 @@ def test_tensors_are_arrays(points: np.ndarray, tmp_path: Path) -> None:
         ({"flag": np.zeros(5, np.bool_)}, r"flag of type bool.*uint8"),
         ({"ring": np.zeros(5, np.float16)}, r"astype\(numpy.float32\)"),
         ({"ring": torch.zeros(5, dtype=torch.bfloat16)}, "is no array"),
+        ({"points": torch.zeros(5, 3, device="meta")}, "is no array"),
+        ({"points": np.full((5, 3), (1 << 53) + 1)}, "float32 would change"),  # as float64 would, too
+        ({"points": np.ma.masked_equal(np.eye(5, 3), 1)}, "nothing holds the mask"),
+        ({"ring": np.ma.masked_equal(np.arange(5, dtype=np.uint8), 3)}, "give the mask as a field"),
     ],
 )
 def test_wrong_kinds_are_type_errors(arrays: dict[str, Any], said: str) -> None:
@@ -81,9 +86,53 @@ def test_wrong_kinds_are_type_errors(arrays: dict[str, Any], said: str) -> None:
     assert isinstance(caught.value, UsageError)
 
 
+def test_classes_that_are_given_are_kept(points: np.ndarray, tmp_path: Path) -> None:
+    """With points or with scans, where nobody asks the network for others; without a word nothing is left out."""
+    classes = np.arange(N) % 9
+    encode_scans(points, tmp_path / "a.mcap", classes=classes, effort="fast")
+    scan = Archive.open(tmp_path / "a.mcap")[0]
+    assert scan.classes is not None and (scan.classes == classes).all() and scan.movable is None
+    encode_scans(Archive.open(tmp_path / "a.mcap"), tmp_path / "b.mcap", effort="fast")
+    again = Archive.open(tmp_path / "b.mcap")[0]
+    assert again.classes is not None and (again.classes == classes).all()
+    some = [
+        Scan("a", points, points[:, 0]),
+        Scan("b", points, points[:, 0], classes=classes.astype(np.uint8)),
+    ]
+    with pytest.raises(UsageError, match="scan 'b': it has classes, and the scans before have none"):
+        encode_scans(some, tmp_path / "c.mcap", effort="fast")
+    with pytest.raises(UsageError, match="scan 'a': labels are given, but its classes are None"):
+        encode_scans(some[::-1], tmp_path / "c.mcap", effort="fast")
+
+
+def test_arrays_may_be_filled_again(points: np.ndarray, tmp_path: Path) -> None:
+    """Scans of a group are coded together, later than each was made."""
+    xyz, classes, labels = points.copy(), np.zeros(N, np.uint8), np.zeros(N, np.uint32)
+
+    def scans() -> Iterator[Scan]:
+        for n in range(5):
+            xyz[:], classes[:], labels[:] = points * np.float32(n), n, n
+            yield Scan(f"{n}", xyz, xyz[:, 1], labels=labels, classes=classes)
+
+    encode_scans(scans(), tmp_path / "a.mcap", effort="fast", gop=3)
+    for n, scan in enumerate(Archive.open(tmp_path / "a.mcap")):
+        assert (scan.points == points * np.float32(n)).all() and (scan.intensity == scan.points[:, 1]).all()
+        assert scan.labels is not None and (scan.labels == n).all()
+        assert scan.classes is not None and (scan.classes == n).all()
+
+
 def test_what_does_not_go_together(points: np.ndarray, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="x is a column"):
         scan_from_arrays(points, x=points[:, 0])
+    for name in ("", "a\0b", "\udc80"):
+        with pytest.raises(UsageError, match="a name is text that can be printed"):
+            scan_from_arrays(points, **{name: points[:, 0]})
+    for name in ("points", "stamp", "name", "frame_id"):
+        with pytest.raises(UsageError, match=f"cannot be named {name}"):
+            encode_scans(points, tmp_path / "a.mcap", **{name: points[:, 0]})  # type: ignore[arg-type]
+    for nothing in (None, 3):
+        with pytest.raises(KindError, match="neither scans nor an array"):
+            encode_scans(nothing, tmp_path / "a.mcap")  # type: ignore[arg-type]
     scan = Scan("a", points, points[:, 0])
     with pytest.raises(KindError, match="ring: arrays go with points"):
         encode_scans([scan], tmp_path / "a.mcap", ring=np.zeros(N))  # type: ignore[arg-type]
