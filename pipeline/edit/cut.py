@@ -33,6 +33,7 @@ class Counts:
 
     copied: int = 0
     anew: int = 0
+    behind: frozenset[str] = frozenset()  # topics whose messages stayed behind
 
     @property
     def scans(self) -> int:
@@ -43,7 +44,8 @@ class Counts:
     def told(self) -> str:
         """In words."""
         how = f"{self.copied} copied" + (f", {self.anew} coded anew and compared" if self.anew else "")
-        return f"{self.scans} scan{'' if self.scans == 1 else 's'}, {how}"
+        topics = f"; messages of {', '.join(sorted(self.behind))} stay behind, which cut takes along"
+        return f"{self.scans} scan{'' if self.scans == 1 else 's'}, {how}" + (topics if self.behind else "")
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from hashlib import blake2b
 from itertools import chain
 from pathlib import Path
 
 from salpcc.pipeline.edit.cut import Counts, check_new, taken
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.log import LogChannel, LogMessage, known_as
+from salpcc.schemas.log import LogMessage, known_as
 from salpcc.schemas.passing_log import PassingLog
 from salpcc.stages.residual_code.archive.format import ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
+from salpcc.stages.residual_code.paper.grid_header import GRID_CODEC
+from salpcc.stages.residual_code.sensor.payload import unpack
 
 
 def merge(paths: list[Path], out: Path) -> Counts:
@@ -22,10 +26,10 @@ def merge(paths: list[Path], out: Path) -> Counts:
 
     Archives of one sequence are ordered by time, others as they are given; these are of a sequence that has the name of
     ``out`` then. Files keep their names; clouds of logs, whose names are numbers, go on counting where they would be
-    named alike.
+    named alike. Other messages of a log that several archives hold, as parts of one by topics do, are kept once.
 
     Raises:
-        UsageError: ``out`` exists, or the archives do not fit one another; the message says why.
+        UsageError: ``out`` exists, a scan is in two archives, or they do not fit one another; the message says why.
         ArchiveError: one is damaged.
     """
     check_new(out)
@@ -89,8 +93,10 @@ def _names(readers: list[ArchiveReader]) -> list[list[list[str]]]:
     """The names of the scans in the new archive, by archive and GOP.
 
     Raises:
-        UsageError: two files have one name.
+        UsageError: two files have one name, or a cloud is in two archives.
     """
+    if readers[0].log:
+        _check_no_cloud_twice(readers)
     named = [[[entry.name for entry in gop] for gop in reader.gops] for reader in readers]
     seen: dict[str, ArchiveReader] = {}
     next_number = 0
@@ -109,6 +115,32 @@ def _names(readers: list[ArchiveReader]) -> list[list[list[str]]]:
         if reader.log:
             next_number = max(int(name.rpartition("-")[2]) for name in seen) + 1 if seen else 0
     return named
+
+
+def _check_no_cloud_twice(readers: list[ArchiveReader]) -> None:
+    """Refuse parts of a log that overlap. What archives call a cloud tells nothing: each counts from where it begins."""
+    seen: dict[tuple[str, int], tuple[ArchiveReader, int, int]] = {}  # by topic and time
+    for reader in readers:
+        clouds = [
+            ((entry.name.rpartition("-")[0], time), (reader, gop, place))
+            for gop, entries in enumerate(reader.gops)
+            for place, (entry, time) in enumerate(zip(entries, reader.times(gop), strict=True))
+        ]
+        for key, here in clouds:
+            there = seen.get(key)
+            if there is not None and _content(*here) == _content(*there):
+                names = [of.gops[gop][place].name for of, gop, place in (here, there)]
+                raise UsageError(
+                    f"{reader.path}: scan {names[0]} is in {there[0].path}, too, as {names[1]}; cut one of them, "
+                    "so that each scan is in one archive only"
+                )
+        seen |= clouds
+
+
+def _content(reader: ArchiveReader, gop: int, place: int) -> bytes | int:
+    """What tells a coded scan from others; one that was coded anew is still the same."""
+    data = reader.payloads(gop)[place].data
+    return data if data[:1] == bytes([GRID_CODEC]) else unpack(data)[0].content_crc
 
 
 def _gops(
@@ -139,12 +171,13 @@ def _log(readers: list[ArchiveReader]) -> PassingLog | None:
     """
     if not readers[0].log:
         return None
-    channels: dict[int, LogChannel] = {}
+    # Parts of one log know their channels by the same numbers, be they of other topics.
+    channels = {number: channel for reader in readers for number, channel in reader.log.items()}
     new_id: list[dict[int, int]] = []
-    if all(reader.log == readers[0].log for reader in readers):
-        channels = readers[0].log
+    if all(channels[number] == channel for reader in readers for number, channel in reader.log.items()):
         new_id = [{number: number for number in channels} for _ in readers]
     else:
+        channels = {}
         for reader in readers:
             ids: dict[int, int] = {}
             for number, channel in reader.log.items():
@@ -164,6 +197,18 @@ def _log(readers: list[ArchiveReader]) -> PassingLog | None:
 
 
 def _messages(readers: list[ArchiveReader], new_id: list[dict[int, int]]) -> Iterator[LogMessage]:
-    for reader, ids in zip(readers, new_id, strict=True):
-        for message in reader.passing():
-            yield replace(message, channel=ids[message.channel])
+    """The messages of one archive after the other, those that an archive before holds, too, only once."""
+    held: Counter[tuple[int | bytes, ...]] = Counter()
+    for place, (reader, ids) in enumerate(zip(readers, new_id, strict=True)):
+        others = [other.passing_span for other in readers[:place] + readers[place + 1 :]]
+        here: Counter[tuple[int | bytes, ...]] = Counter()
+        for recorded in reader.passing():
+            message = replace(recorded, channel=ids[recorded.channel])
+            if any(first <= message.log_time <= last for first, last in others):  # else no other holds it
+                content = blake2b(message.data, digest_size=16).digest()
+                told = (message.channel, message.log_time, message.publish_time, message.sequence, content)
+                here[told] += 1
+                if here[told] <= held[told]:
+                    continue
+            yield message
+        held |= here

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,7 +20,7 @@ from salpcc.stages.residual_code.archive.reader import ArchiveReader
 def export_found(found: pa.Table, out: Path, target: Path) -> Iterator[tuple[Path, Counts]]:
     """Write scans of archives in ``out`` to ``target``: one archive a sequence in a folder, or one NAME.mcap of all.
 
-    Of logs, other topics are left out.
+    Of logs, messages of other topics stay behind; the counts name them.
 
     Args:
         found: rows of the catalogue of ``out``.
@@ -43,7 +44,8 @@ def export_found(found: pa.Table, out: Path, target: Path) -> Iterator[tuple[Pat
         except UsageError as error:
             held = str((out / archives[0]).parent)
             raise UsageError(f"{str(error).replace(folder, held)}; or name a folder, not a file") from error
-    yield target, Counts(sum(one.copied for one in counts), sum(one.anew for one in counts))
+    behind = frozenset[str]().union(*(one.behind for one in counts))
+    yield target, Counts(sum(one.copied for one in counts), sum(one.anew for one in counts), behind)
 
 
 def _export(found: pa.Table, out: Path, archive: str, path: Path) -> Counts:
@@ -57,4 +59,5 @@ def _export(found: pa.Table, out: Path, archive: str, path: Path) -> Counts:
         )
     log = PassingLog(reader.log.values(), iter(()), reader.enclosed()) if reader.log else None
     wanted = [[entry.name for entry in gop if entry.name in names] for gop in reader.gops]
-    return write_part(reader, wanted, path, log)
+    counts = write_part(reader, wanted, path, log)
+    return replace(counts, behind=frozenset(reader.passing_topics))

@@ -229,6 +229,12 @@ class ArchiveReader:
         return first, max((chunk.message_end_time for chunk in chunks), default=0)
 
     @property
+    def passing_span(self) -> tuple[int, int]:
+        """When the first and the last message that passed through were recorded, ns; the last before the first where none did."""
+        first = min((chunk.message_start_time for chunk in self._index.passing), default=0)
+        return first, max((chunk.message_end_time for chunk in self._index.passing), default=-1)
+
+    @property
     def passing_bytes(self) -> int:
         """Bytes of the file that hold what passed through."""
         chunks = sum(chunk.chunk_length + chunk.message_index_length for chunk in self._index.passing)

@@ -1,5 +1,6 @@
 """Parts of archives, and archives put together: what is copied stays byte for byte, the rest comes back bit for bit."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,11 @@ from salpcc.pipeline.verify import verify
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, CloudMessage
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
+from salpcc.stages.residual_code.archive.writer import write_archive
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 START = 1_600_000_000_000_000_000
@@ -190,12 +193,65 @@ def test_topics_of_logs(log: tuple[Path, Path], tmp_path: Path) -> None:
 def test_two_logs_become_one(log: tuple[Path, Path], tmp_path: Path) -> None:
     """Clouds of the second go on counting; its channels are those that tell the same."""
     _, archive = log
-    later = tmp_path / "later.mcap"
-    later.write_bytes(archive.read_bytes())
+    reader, later = ArchiveReader(archive), tmp_path / "later.mcap"
+    gops = [
+        [replace(payload, time=payload.time + 10**9) for payload in reader.payloads(gop)]
+        for gop in range(len(reader.gops))
+    ]
+    texts = (replace(text, log_time=text.log_time + 10**9) for text in reader.passing())
+    write_archive(later, reader.facts, gops, PassingLog(reader.log.values(), texts, reader.enclosed()))
     merge([archive, later], tmp_path / "both.mcap")
     names = Archive.open(tmp_path / "both.mcap").names
     assert len(names) == len(set(names)) == 14 and names[:7] == Archive.open(archive).names
-    assert told(tmp_path / "both.mcap") == sorted(told(archive) * 2)
+    assert told(tmp_path / "both.mcap") == sorted(told(archive) + told(later))
+
+
+def test_nothing_becomes_double(log: tuple[Path, Path], tmp_path: Path) -> None:
+    """Parts of a log by topics share messages of others; clouds in two parts are refused, be they coded anew."""
+    source, archive = log
+    for topic in ("/front", "/rear"):
+        cut(archive, tmp_path / f"{topic[1:]}.mcap", Selection(topics=(topic, "/texts")))
+    merge([tmp_path / "rear.mcap", tmp_path / "front.mcap"], tmp_path / "both.mcap")
+    assert told(tmp_path / "both.mcap") == told(archive) and verify(tmp_path / "both.mcap", source).good
+    cut(archive, tmp_path / "first.mcap", Selection(frames=(0, 2)))
+    cut(archive, tmp_path / "second.mcap", Selection(frames=(1, 9)))
+    said = r"second.mcap: scan front-000001 is in .*first.mcap, too, as front-000001; cut one of them"
+    with pytest.raises(UsageError, match=said):
+        merge([tmp_path / "first.mcap", tmp_path / "second.mcap"], tmp_path / "none.mcap")
+    with pytest.raises(UsageError, match="too, as front-000000"):
+        merge([archive, archive], tmp_path / "none.mcap")
+    assert not (tmp_path / "none.mcap").exists()
+
+
+def test_find_says_which_messages_stay_behind(log: tuple[Path, Path], tmp_path: Path) -> None:
+    out = log[1].parents[1]
+    for target in ("found", "found.mcap"):
+        command = ["find", str(out), "points > 0", "--export", str(tmp_path / target)]
+        result = CliRunner().invoke(app, command)
+        said = " ".join(result.stderr.split())
+        assert result.exit_code == 0 and "7 copied; messages of /texts stay behind, which cut takes" in said
+
+
+def test_parts_by_topics_of_which_one_has_several_publishers(log: tuple[Path, Path], tmp_path: Path) -> None:
+    """Their channels keep their numbers, by which clouds know theirs."""
+    _, archive = log
+    reader = ArchiveReader(archive)
+    channels = {c.topic: c for c in reader.log.values()}
+    other = replace(channels["/front"], id=9, metadata=(("publisher", "2"),))
+    parts = []
+    for topic in ("/front", "/rear"):
+        part = tmp_path / f"{topic[1:]}.mcap"
+        cut(archive, part, Selection(topics=(topic,)))
+        of = ArchiveReader(part)
+        few = [*of.log.values(), *([other] if topic == "/front" else [])]
+        write_archive(
+            part, of.facts, [of.payloads(gop) for gop in range(len(of.gops))], PassingLog(few, iter(()), ())
+        )
+        parts.append(part)
+    merge(parts, tmp_path / "both.mcap")
+    assert ArchiveReader(tmp_path / "both.mcap").log == {
+        c.id: c for c in (channels["/front"], channels["/rear"], other)
+    }
 
 
 def test_on_the_command_line(whole: Path, tmp_path: Path) -> None:
