@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -85,8 +86,10 @@ class Archive(Sequence[Scan]):
 
         Raises:
             ArchiveError: not an archive, damaged, truncated, or of a newer major version.
-            UsageError: the archive has no such layer; there is no such frame.
+            UsageError: the archive has no such layer; there is no such frame; less than one thread.
         """
+        if not isinstance(threads, int) or threads < 1:
+            raise UsageError(f"threads {threads!r}: a whole number from 1 on")
         if frame not in FRAMES:
             raise UsageError(f"frame {frame!r}: choose from {', '.join(FRAMES)}")
         if layers not in LAYERS:
@@ -223,6 +226,10 @@ class Archive(Sequence[Scan]):
     def __len__(self) -> int:
         return len(self._places)
 
+    def __contains__(self, scan: object) -> bool:
+        """Tell whether it holds a scan of that name; those that it gives are new each time, and no other's."""
+        return isinstance(scan, str) and scan in self.names
+
     @overload
     def __getitem__(self, index: int | str) -> Scan: ...
     @overload
@@ -232,6 +239,7 @@ class Archive(Sequence[Scan]):
 
         Raises:
             IndexError, KeyError: there is none at that place, or of that name.
+            KindError: it is neither.
             ArchiveError: its GOP is damaged.
         """
         if isinstance(index, slice):
@@ -242,6 +250,11 @@ class Archive(Sequence[Scan]):
             except ValueError:
                 held = f"{self.names[0]} to {self.names[-1]}" if len(self) else "none"
                 raise KeyError(f"scan {index} is not in {self._reader.path}, which holds {held}") from None
+        try:
+            index = operator.index(index)
+        except TypeError:
+            kind = type(index).__name__
+            raise KindError(f"{kind}: scans are asked for by place, by name, or by a slice") from None
         if not -len(self) <= index < len(self):
             raise IndexError(f"scan {index} of {len(self)}")
         return _detached(self._in_hand.scan(self._reader, *self._places[index]))

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, cast
 from urllib.parse import urlsplit
 from uuid import uuid4
 
-from salpcc.schemas.errors import UsageError
+from salpcc.schemas.errors import KindError, UsageError
 from salpcc.schemas.extras import require
 
 # A put appears there whole, so it needs no other name; listings must not be kept, for other machines write, too.
@@ -48,7 +48,10 @@ def location(name: str | Path) -> Path:
 
     Raises:
         UsageError: nothing here reads such URLs, it holds a password, or it is empty.
+        KindError: it is no name.
     """
+    if not isinstance(name, str | os.PathLike) and not hasattr(name, "fs"):
+        raise KindError(f"{name!r} is no path of a file or folder")
     if name == "":
         raise UsageError("an empty name is no file or folder; the current folder is .")
     if not isinstance(name, str) or "://" not in name:

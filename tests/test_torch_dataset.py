@@ -83,3 +83,15 @@ def test_workers_share_the_groups(archives: list[Path], scans: list[Scan], worke
         shares.append({next(g for g, group in enumerate(groups) if place in group) for place in mine})
     assert not shares[0] & shares[1] and shares[0] | shares[1] == {0, 1, 2, 3, 4}
     assert np.isclose(sum(got), sum(mean(scan) for scan in scans))
+
+
+def test_orders_without_scans_are_refused(archives: list[Path]) -> None:
+    dataset = ScanDataset(archives)
+    for groups in (0, -1):
+        for wrong in (ScanStream, GroupSampler):
+            with pytest.raises(UsageError, match="at least one"):
+                wrong(dataset, groups)
+        with pytest.raises(UsageError, match="at least one"):
+            ScanDataset(archives, groups=groups)
+    with pytest.raises(UsageError, match="rank 3 of 3: ranks are counted from 0"):
+        GroupSampler(dataset, rank=3, ranks=3)

@@ -21,6 +21,7 @@ from torch.utils.data import Dataset, IterableDataset, Sampler, get_worker_info
 
 from salpcc.pipeline.decode import Layers, check_layers
 from salpcc.pipeline.decoded_groups import DecodedGroups
+from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
@@ -33,6 +34,12 @@ def tensors(scan: Scan) -> dict[str, Tensor]:
     if scan.classes is not None:
         found["classes"] = from_numpy(scan.classes.astype(np.int64))
     return found
+
+
+def _check_groups(groups: int) -> None:
+    """Refuse less than one group."""
+    if groups < 1:
+        raise UsageError(f"groups {groups}: at least one is decoded at a time")
 
 
 class ScanDataset(Dataset[Any]):
@@ -57,8 +64,9 @@ class ScanDataset(Dataset[Any]):
             groups: groups of scans that stay decoded in memory.
 
         Raises:
-            ArchiveError, UsageError: as in :meth:`salpcc.Archive.open`.
+            ArchiveError, UsageError: as in :meth:`salpcc.Archive.open`; less than one group.
         """
+        _check_groups(groups)
         paths = [archives] if isinstance(archives, str | Path) else archives
         self.readers = [ArchiveReader(path) for path in paths]
         for reader in self.readers:
@@ -94,7 +102,13 @@ class GroupSampler(Sampler[int]):
 
         Args:
             rank, ranks: of so many processes that share the groups, which one this is.
+
+        Raises:
+            UsageError: there would be no scans: less than one group, or a rank that is none of the ranks.
         """
+        _check_groups(groups)
+        if not 0 <= rank < ranks:
+            raise UsageError(f"rank {rank} of {ranks}: ranks are counted from 0")
         self.dataset, self.groups, self.seed, self.rank, self.ranks = dataset, groups, seed, rank, ranks
         self.epoch = 0
         dataset.decoded.most = max(dataset.decoded.most, groups)
@@ -119,6 +133,7 @@ class ScanStream(IterableDataset[Any]):
 
     def __init__(self, dataset: ScanDataset, groups: int = 4, seed: int = 0) -> None:
         """Shuffle by a seed; :attr:`epoch` counts passes, and may be set where workers are started anew for each."""
+        _check_groups(groups)
         self.dataset, self.groups, self.seed = dataset, groups, seed
         self.epoch = 0
 

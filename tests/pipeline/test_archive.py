@@ -13,7 +13,7 @@ import pytest
 
 import salpcc.pipeline.decode as module
 from salpcc.pipeline import Archive, Scan, encode_scans
-from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.errors import ArchiveError, KindError, UsageError
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.predict.learned import intensity_model, range_model
 from salpcc.stages.predict.static.walk import walk
@@ -53,6 +53,27 @@ def test_a_scan_is_found_by_its_name(path: Path) -> None:
     assert archive["000003"].points.tobytes() == archive[3].points.tobytes()
     with pytest.raises(KeyError, match=r"000007 is not in .*, which holds 000000 to 000004"):
         archive["000007"]
+
+
+def test_what_is_no_index_no_path_and_no_number_of_threads(path: Path, tmp_path: Path) -> None:
+    archive = Archive.open(path)
+    assert archive.names[1] in archive and "nobody" not in archive
+    for wrong in (None, 1.0, b"000001", [1, 2], (1, 2)):
+        with pytest.raises(KindError, match="by place, by name, or by a slice"):
+            archive[wrong]  # type: ignore[call-overload]
+    assert archive[np.int64(1)].name == archive.names[1]  # type: ignore[call-overload]
+    for threads in (0, -1, "2", None):
+        with pytest.raises(UsageError, match="threads"):
+            Archive.open(path, threads=threads)  # type: ignore[arg-type]
+    for nothing in (None, 3, b"a.mcap"):
+        with pytest.raises(KindError, match="is no path"):
+            Archive.open(nothing)  # type: ignore[arg-type]
+    gone = tmp_path / "gone.mcap"
+    gone.write_bytes(path.read_bytes())
+    archive = Archive.open(gone)
+    gone.unlink()
+    with pytest.raises(ArchiveError, match=r"gone.mcap: No such file.*was there when it was opened"):
+        archive[0]
 
 
 def test_an_archive_is_a_sequence_that_can_be_closed(path: Path) -> None:

@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex
 
 from salpcc.schemas.errors import ArchiveError, DamagedError
-from salpcc.schemas.files import read_at
+from salpcc.schemas.files import read_at, why
 from salpcc.schemas.mcap_chunks import stream
 
 
@@ -29,12 +29,15 @@ class RecordFile:
         self.size = self.path.stat().st_size
 
     def bytes_at(self, at: int, length: int) -> bytes:
-        """Return bytes of the file; raises ArchiveError where they do not lie in it."""
+        """Return bytes of the file; raises ArchiveError where they do not lie in it, or it is gone."""
         if at < 0 or length < 0 or at + length > self.size:
             raise DamagedError(
                 f"{self.path}: truncated or damaged, wants bytes {at} to {at + length} of {self.size}"
             )
-        return read_at(self.path, at, length)
+        try:
+            return read_at(self.path, at, length)
+        except FileNotFoundError as error:
+            raise ArchiveError(f"{self.path}: {why(error)}; it was there when it was opened") from error
 
     def content(self, at: int, opcode: Opcode) -> bytes:
         """Return the content of the record at a byte; raises ArchiveError where it is of another kind."""
