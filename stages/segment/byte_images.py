@@ -6,7 +6,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.segment.bfloat16 import Numbers, take
+
 U8 = NDArray[np.uint8]
+
+
+@njit(cache=True)
+def rounded(image: Numbers) -> U8:
+    """Return numbers ``(H, W, C)``, none of them below 0, as bytes: 255 at most."""
+    out = np.empty(image.shape, np.uint8)
+    numbers = np.empty(image[0].size, np.float32)
+    for i in range(len(image)):
+        take(image[i].ravel(), numbers)
+        row = out[i].ravel()
+        for k in range(len(numbers)):
+            row[k] = np.uint8(min(np.rint(numbers[k]), np.float32(255)))
+    return out
 
 
 @njit(cache=True)

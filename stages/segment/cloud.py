@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from salpcc.stages.segment.bfloat16 import Numbers, put
 from salpcc.stages.segment.point_branch import SCALES
 from salpcc.stages.segment.sampling import PointSets
 
@@ -57,6 +58,29 @@ class Cloud:
             lifted = functional.embedding_bag(parents, up, per_sample_weights=weights, mode="sum")
             up = self.decoders[level](torch.cat([levels[level], lifted], -1))
         return up
+
+
+@njit(cache=True)
+def mixed(rows: F32, parents: I64, weights: F32, side: int, out: Numbers) -> None:
+    """Write features of pixels, ``rows`` ``(M, C)`` of three ``parents`` each, both ``(H W, 3)``, into an image.
+
+    Args:
+        side: pixels repeated at both ends.
+        out: ``(H, W + 2 side, C)``.
+    """
+    height, width, channels = out.shape
+    width -= 2 * side
+    row = np.empty((width, channels), np.float32)
+    for i in range(height):
+        for j in range(width):
+            pixel = i * width + j
+            a, b, c = parents[pixel, 0], parents[pixel, 1], parents[pixel, 2]
+            u, v, w = weights[pixel, 0], weights[pixel, 1], weights[pixel, 2]
+            for k in range(channels):
+                row[j, k] = u * rows[a, k] + v * rows[b, k] + w * rows[c, k]
+        put(row.ravel(), out[i, side : side + width].ravel())
+        out[i, :side] = out[i, width : width + side]
+        out[i, side + width :] = out[i, side : 2 * side]
 
 
 @njit(cache=True)

@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from salpcc.stages.segment.features import COORDINATES, DEPTH, INTENSITY
 from salpcc.stages.segment.inputs import network_input, stack
-from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork
+from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork, fold_columns
 from salpcc.stages.segment.point_branch import PointTensors
 
 F32 = NDArray[np.float32]
@@ -62,12 +62,9 @@ class FusedNetwork(nn.Module):
 
     def forward(self, features: Tensor, sets: PointTensors) -> Tensor:
         """Map features ``(1, 19, H, W)`` and point sets of a whole turn to logits ``(H, W, 19)`` float32."""
-        fold, side = self.config.fold, SEAM // self.config.fold
+        side = SEAM // self.config.fold
         _, _, height, width = features.shape
-        cloud = self.points.first_level(sets)[0]
-        fused = self.fusion(
-            features[0].permute(1, 2, 0), cloud, sets.pixel_parents[0], sets.pixel_weights[0], fold
-        )
+        fused = self.fusion(self.shown(features, sets))
         skips: list[Tensor] = []
         level = fused
         for encoder in self.encoders:
@@ -79,36 +76,27 @@ class FusedNetwork(nn.Module):
         logits = self.head(join([level, fused])).permute(0, 2, 3, 1)
         return logits[0, :, side:-side].reshape(height, width, N_CLASSES).contiguous()
 
+    def shown(self, features: Tensor, sets: PointTensors) -> list[Tensor]:
+        """Return what the fusion sees ``(1, C, H, W / fold)``, with columns repeated: depth, coordinates, intensity, the 3-D branch."""
+        fold = self.config.fold
+        parts = [fold_columns(part, fold) for part in features.split([DEPTH, COORDINATES, INTENSITY], 1)]
+        cloud = self.points(sets).reshape(1, *parts[0].shape[2:], -1).permute(0, 3, 1, 2)
+        side = SEAM // fold
+        return [torch.cat([image[..., -side:], image, image[..., :side]], 3) for image in (*parts, cloud)]
+
 
 class Fusion(nn.Module):
-    """The images of the modalities and what the points say, joined: eq. (9). Computes in the type of its weights."""
+    """The images of the modalities and what the points say, joined: eq. (9)."""
 
     def __init__(self, blocks: Any) -> None:
         super().__init__()
-        fold = blocks.config.fold
-        self.modalities = nn.ModuleList(_Residual(block, fold) for block in blocks.modalities)
+        self.modalities = nn.ModuleList(map(_Residual, blocks.modalities))
         self.layers = nn.Sequential(*map(_conv, blocks.fusion))
 
-    def forward(self, features: Tensor, cloud: Tensor, parents: Tensor, weights: Tensor, fold: int) -> Tensor:
-        """Return an image ``(1, C, H, W / fold)`` whose columns are repeated at both ends.
-
-        Args:
-            features: ``(H, W, 19)`` of the pixels of a whole turn.
-            cloud: ``(M, C)``, what the points of the first level say; ``parents`` and ``weights`` ``(H W / fold, 3)`` mix them.
-        """
-        height, width, channels = features.shape
-        first: Any = self.layers[0]
-        dtype, side = first.weight.dtype, SEAM // fold
-        rows = _round(features.to(dtype).reshape(height, width // fold, fold, channels), side)
-        images = [
-            block(part.reshape(1, height, -1, part.shape[-1] * fold).permute(0, 3, 1, 2))
-            for block, part in zip(
-                self.modalities, rows.split([DEPTH, COORDINATES, INTENSITY], 3), strict=True
-            )
-        ]
-        mixed = functional.embedding_bag(parents, cloud, per_sample_weights=weights, mode="sum").to(dtype)
-        images.append(_round(mixed.reshape(height, width // fold, -1), side)[None].permute(0, 3, 1, 2))
-        fused: Tensor = self.layers(join(images))
+    def forward(self, images: Sequence[Tensor]) -> Tensor:
+        """Map the images ``(1, c, H, W)`` of depth, coordinates and intensity, and of what the points say, to one ``(1, C, H, W)``."""
+        seen = [block(image) for block, image in zip(self.modalities, images[:-1], strict=True)]
+        fused: Tensor = self.layers(join([*seen, images[-1]]))
         return fused
 
 
@@ -134,21 +122,18 @@ class Convolution(nn.Module):
 
 
 class _Residual(nn.Module):
-    """:class:`~salpcc.stages.segment.blocks.MultiKernelResidual`, its inputs ordered by column, then channel."""
+    """:class:`~salpcc.stages.segment.blocks.MultiKernelResidual`."""
 
-    def __init__(self, block: Any, fold: int) -> None:
+    def __init__(self, block: Any) -> None:
         super().__init__()
-        inputs = block.shortcut.weight.shape[1]
-        by_column = torch.arange(inputs).reshape(-1, fold).T.ravel()
         norm, out = block.norm[0], block.out[0]
-        weight, bias = normed(centred([conv.weight[:, by_column] for conv in block.parallel]), norm)
+        weight, bias = normed(centred([conv.weight for conv in block.parallel]), norm)
         near = sum(len(conv.weight) for conv in block.parallel if conv.weight.shape[-1] <= 3)
         self.near = Convolution(weight[:near, :, 2:-2, 2:-2], bias[:near], relu=True)
         self.far = Convolution(weight[near:], bias[near:], relu=True)
         self.dense = nn.ModuleList(map(_conv, block.dense))
         layered = block.last.weight.shape[1]
-        both = torch.cat([block.last.weight, block.shortcut.weight[:, by_column]], 1)
-        weight, bias = normed(both, out)
+        weight, bias = normed(torch.cat([block.last.weight, block.shortcut.weight], 1), out)
         self.last = Convolution(weight[:, :layered], bias)
         self.shortcut = Convolution(weight[:, layered:], None)
 
@@ -211,11 +196,6 @@ def centred(kernels: Sequence[Tensor]) -> Tensor:
     """Join odd kernels ``(outputs, inputs, k, k)`` over the outputs, each in the middle of the largest."""
     side = max(kernel.shape[-1] for kernel in kernels)
     return torch.cat([functional.pad(kernel, [(side - kernel.shape[-1]) // 2] * 4) for kernel in kernels])
-
-
-def _round(rows: Tensor, side: int) -> Tensor:
-    """Repeat ``side`` columns of ``(H, W, ...)`` at both ends."""
-    return torch.cat([rows[:, -side:], rows, rows[:, :side]], 1)
 
 
 def join(images: Sequence[Tensor]) -> Tensor:

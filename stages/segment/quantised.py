@@ -23,10 +23,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from salpcc.stages.segment.byte_images import halved, lifted
-from salpcc.stages.segment.cloud import Cloud
-from salpcc.stages.segment.features import pixel_features
-from salpcc.stages.segment.fused import SEAM, FusedNetwork, centred, join, normed
+from salpcc.stages.segment.bfloat16 import as_numbers, as_tensor, numbers
+from salpcc.stages.segment.byte_images import halved, lifted, rounded
+from salpcc.stages.segment.cloud import Cloud, mixed
+from salpcc.stages.segment.features import COORDINATES, DEPTH, INTENSITY, folded_features
+from salpcc.stages.segment.fused import SEAM, Convolution, FusedNetwork, centred, join, normed
 from salpcc.stages.segment.inputs import cloud_input
 from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork
 
@@ -180,38 +181,72 @@ class QuantisedNetwork:
             held = _Bytes.of(filtered, steps[i])
         self.head.weight *= torch.cat([steps[0], steps[0]])[:, None, None]
         dtype = torch.bfloat16 if _can("avx512_bf16", "amx_bf16") else torch.float32
-        self.fusion.to(dtype)
-        self.head.to(dtype)
+        self.fusion, self.head = _laid_out(self.fusion.to(dtype)), _LaidOut(self.head.to(dtype))
+        self.dtype = dtype
 
     def logits(self, planes: F32) -> F32:
         """Return logits ``(H, W, 19)`` of planes ``(6, H, W)`` of a whole turn, which has a return."""
-        fold, side = self.config.fold, SEAM // self.config.fold
         _, height, width = planes.shape
-        features = torch.from_numpy(pixel_features(planes, circular=True)).permute(1, 2, 0)
-        points, sets = cloud_input(planes, fold, self.config.n_points)
-        parents, weights = torch.from_numpy(sets.pixel_parents), torch.from_numpy(sets.pixel_weights)
-        fused = self.fusion(features, self.points.first_level(points, sets), parents, weights, fold)
-        level = fused.round().clamp_max_(255).to(torch.uint8)
+        side = SEAM // self.config.fold
+        fused = self.fusion(self.shown(planes))
+        level = _image(rounded(_array(fused)))
         skips: list[Tensor] = []
         for encoder in self.encoders:
-            level = _image(halved(_bytes(level))) if skips else level
+            level = _image(halved(_array(level))) if skips else level
             for layer, residual in encoder:
                 level = layer.beside(level, 1.0) if residual else layer(level)
             skips.append(level)
         for (lift, layer), skip in zip(self.decoders, skips[-2::-1], strict=True):
-            level = layer.beside(_image(lifted(_bytes(lift(level)), _bytes(skip))), 2.0)
-        logits = self.head(join([level[..., side:-side].to(fused.dtype), fused[..., side:-side]]))
-        return logits.permute(0, 2, 3, 1).reshape(height, width, N_CLASSES).float().numpy()
+            level = layer.beside(_image(lifted(_array(lift(level)), _array(skip))), 2.0)
+        logits = self.head(join([level.to(fused.dtype), fused]))[..., side:-side]
+        return logits.permute(0, 2, 3, 1).float().reshape(height, width, N_CLASSES).numpy()
+
+    def shown(self, planes: F32) -> list[Tensor]:
+        """Return what the fusion sees, as :meth:`~salpcc.stages.segment.fused.FusedNetwork.shown` does, of planes ``(6, H, W)``."""
+        fold, side = self.config.fold, SEAM // self.config.fold
+        points, sets = cloud_input(planes, fold, self.config.n_points)
+        rows = self.points.first_level(points, sets).numpy()
+        channels = (*(c * fold for c in (DEPTH, COORDINATES, INTENSITY)), rows.shape[1])
+        size = planes.shape[1], planes.shape[2] // fold + 2 * side
+        images = [numbers((*size, c), self.dtype) for c in channels]
+        folded_features(planes, fold, side, images[:-1])
+        mixed(rows, sets.pixel_parents, sets.pixel_weights, side, images[-1])
+        return list(map(_image, images))
 
 
-def _image(pixels: NDArray[np.uint8]) -> Tensor:
-    """Return ``(H, W, C)`` as ``(1, C, H, W)``."""
-    return torch.from_numpy(pixels)[None].permute(0, 3, 1, 2)
+class _LaidOut(nn.Module):
+    """A convolution of :mod:`.fused`, its weights laid out for the processor; its sums are rectified as they are made."""
+
+    def __init__(self, one: Convolution) -> None:
+        super().__init__()
+        self.padding, self.bias, self.after = [one.side // 2] * 2, one.bias, "relu" if one.relu else "none"
+        self.weight = torch.ops.mkldnn._reorder_convolution_weight(
+            one.weight, self.padding, [1, 1], [1, 1], 1, None
+        )
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Map ``(1, inputs, H, W)`` to ``(1, outputs, H, W)``."""
+        found: Tensor = torch.ops.mkldnn._convolution_pointwise(
+            image, self.weight, self.bias, self.padding, [1, 1], [1, 1], 1, self.after, [], None
+        )
+        return found
 
 
-def _bytes(image: Tensor) -> NDArray[np.uint8]:
+def _laid_out(module: nn.Module) -> nn.Module:
+    """Put :class:`_LaidOut` in the place of every convolution of a module."""
+    for name, child in module.named_children():
+        setattr(module, name, _LaidOut(child) if isinstance(child, Convolution) else _laid_out(child))
+    return module
+
+
+def _image(pixels: NDArray[Any]) -> Tensor:
+    """Return ``(H, W, C)``, bytes or :data:`~salpcc.stages.segment.bfloat16.Numbers`, as ``(1, C, H, W)``."""
+    return as_tensor(pixels)[None].permute(0, 3, 1, 2)
+
+
+def _array(image: Tensor) -> NDArray[Any]:
     """Inverse of :func:`_image`."""
-    return image[0].permute(1, 2, 0).numpy()
+    return as_numbers(image)[0].transpose(1, 2, 0)
 
 
 LabellingNetwork = FusedNetwork | QuantisedNetwork

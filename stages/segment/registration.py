@@ -92,13 +92,17 @@ def _match(
         centre = int(0.5 * (1.0 - np.arctan2(y, x) / np.pi) * columns)
         nearest = reach * reach
         at_row, at_column = -1, -1
+        inside = _COLUMNS <= centre < columns - _COLUMNS
+        # No branches but on the whole: which is the nearest follows no pattern.
         for a in range(max(row - 1, 0), min(row + 1, rows - 1) + 1):
             for step in range(-_COLUMNS, _COLUMNS + 1):
-                b = (centre + step) % columns
+                b = centre + step if inside else (centre + step) % columns
                 dx, dy, dz = places[a, b, 0] - x, places[a, b, 1] - y, places[a, b, 2] - z
                 off = dx * dx + dy * dy + dz * dz
-                if off < nearest:
-                    nearest, at_row, at_column = off, a, b
+                closer = off < nearest
+                nearest = off if closer else nearest
+                at_row = a if closer else at_row
+                at_column = b if closer else at_column
         if at_row < 0:
             continue
         u, v, w = normals[at_row, at_column, 0], normals[at_row, at_column, 1], normals[at_row, at_column, 2]

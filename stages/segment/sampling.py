@@ -14,9 +14,10 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from salpcc.stages.segment.nearest import nearest
+from salpcc.stages.segment.nearest import nearest, three_nearest
 
 F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 GROUP = 16  # points that are pooled into one of the next level
@@ -24,6 +25,7 @@ SHRINK = 4  # points of one level per point of the next
 LEVELS = 3
 _BUCKET = 64  # points that farthest point sampling skips together
 _BATCH = 32  # buckets whose distances are told at once
+_NONE = np.int32(2**31 - 1)
 _FLOOR = 0.05  # metres added to distances, so that weights stay finite
 
 
@@ -53,13 +55,13 @@ def farthest_points(points: F32, count: int) -> NDArray[np.int64]:
 
     Ties go to the lower place. Where there are fewer points than asked for, places repeat.
     """
-    near = np.asarray(cKDTree(points, leafsize=_BUCKET).indices, np.int64)
-    return _farthest(np.ascontiguousarray(points[near]), near, count)
+    near = np.asarray(cKDTree(points, leafsize=_BUCKET, compact_nodes=False).indices, np.int32)
+    return _farthest(points, near, count)
 
 
 @njit(cache=True)
-def _farthest(points: F32, place: I64, count: int) -> NDArray[np.int64]:
-    """Sample as :func:`farthest_points`; points come in an order that keeps neighbours together, with their places.
+def _farthest(points: F32, near: I32, count: int) -> I64:
+    """Sample as :func:`farthest_points`; ``near`` ``(P,)`` are places in an order that keeps neighbours together.
 
     A bucket of them is left alone where no point of its box is nearer to the newest than all of them already are to
     an older one. Rounding is monotonic, so the bound holds for the numbers computed, and the sample is the plain one's.
@@ -69,67 +71,73 @@ def _farthest(points: F32, place: I64, count: int) -> NDArray[np.int64]:
     buckets = (rows + _BATCH - 1) // _BATCH * _BATCH  # those beyond are empty
     low = np.full((3, buckets), np.float32(np.inf))
     high = np.full((3, buckets), np.float32(-np.inf))
-    for b in range(rows):
+    room = np.zeros((3, rows * _BUCKET), np.float32)
+    x, y, z = room[0], room[1], room[2]
+    place = np.full(rows * _BUCKET, _NONE)
+    distance = np.full(rows * _BUCKET, np.float32(-1.0))  # behind the last point, none is far
+    for i in range(n):
+        x[i], y[i], z[i] = points[near[i], 0], points[near[i], 1], points[near[i], 2]
+        place[i] = near[i]
+        distance[i] = np.inf
         for axis in range(3):
-            low[axis, b] = points[b * _BUCKET : (b + 1) * _BUCKET, axis].min()
-            high[axis, b] = points[b * _BUCKET : (b + 1) * _BUCKET, axis].max()
-    distance = np.full(n, np.float32(np.inf))
+            low[axis, i // _BUCKET] = min(low[axis, i // _BUCKET], points[near[i], axis])
+            high[axis, i // _BUCKET] = max(high[axis, i // _BUCKET], points[near[i], axis])
+    order = distance.view(np.int32)  # numbers of no less than 0 are ordered as their bits are
     reach = np.full(buckets, np.float32(-1.0))  # the largest distance in each bucket
     reach[:rows] = np.inf
-    which = np.zeros(buckets, np.int64)  # the point that has it, of the lowest place
-    first = np.zeros(buckets // _BATCH, np.int64)  # the bucket that has the largest of each batch
+    which = np.zeros(buckets, np.int32)  # the point that has it, of the lowest place
+    far, who = reach[::_BATCH].copy(), which[::_BATCH].copy()  # the same of each batch of buckets
     away = np.empty(_BATCH, np.float32)
     chosen = np.zeros(count, np.int64)
-    last = int(np.argmin(place))
+    last = 0
     zero = np.float32(0.0)
     for k in range(1, count):
         px, py, pz = points[last, 0], points[last, 1], points[last, 2]
-        for batch in range(len(first)):
+        for batch in range(len(far)):
             start = batch * _BATCH
+            touched = False
             for i in range(_BATCH):
                 dx = max(low[0, start + i] - px, px - high[0, start + i], zero)
                 dy = max(low[1, start + i] - py, py - high[1, start + i], zero)
                 dz = max(low[2, start + i] - pz, pz - high[2, start + i], zero)
                 away[i] = dx * dx + dy * dy + dz * dz
-            touched = False
+                touched |= away[i] < reach[start + i]
+            if not touched:
+                continue
             for b in range(start, start + _BATCH):
                 if away[b - start] >= reach[b]:
                     continue
-                touched = True
-                best = np.float32(-1.0)
-                at = 0
-                for i in range(b * _BUCKET, min((b + 1) * _BUCKET, n)):
-                    dx = points[i, 0] - px
-                    dy = points[i, 1] - py
-                    dz = points[i, 2] - pz
-                    d = min(distance[i], dx * dx + dy * dy + dz * dz)
-                    distance[i] = d
-                    if d > best or (d == best and place[i] < place[at]):
-                        best = d
-                        at = i
-                reach[b] = best
+                inside = b * _BUCKET
+                for i in range(_BUCKET):
+                    dx, dy, dz = x[inside + i] - px, y[inside + i] - py, z[inside + i] - pz
+                    distance[inside + i] = min(distance[inside + i], dx * dx + dy * dy + dz * dz)
+                most, at = np.int32(0), _NONE
+                for i in range(_BUCKET):
+                    most = max(most, order[inside + i])
+                for i in range(_BUCKET):
+                    at = min(at, place[inside + i] if order[inside + i] == most else _NONE)
+                reach[b] = np.int32(most).view(np.float32)
                 which[b] = at
-            if touched:
-                first[batch] = _first(reach, which, place, np.arange(start, start + _BATCH))
-        top = _first(reach, which, place, first)
-        last = which[top]
-        chosen[k] = place[last]
+            top = _first(reach, which, start, start + _BATCH)
+            far[batch], who[batch] = reach[top], which[top]
+        last = who[_first(far, who, 0, len(far))]
+        chosen[k] = last
     return chosen
 
 
 @njit(cache=True)
-def _first(reach: F32, which: I64, place: I64, buckets: I64) -> int:
-    """Return which of some ``buckets`` reaches farthest, by a point of the lowest place."""
-    top = buckets[0]
-    for b in buckets[1:]:
-        if reach[b] > reach[top] or (reach[b] == reach[top] and place[which[b]] < place[which[top]]):
+def _first(reach: F32, which: I32, start: int, end: int) -> int:
+    """Return which of some buckets reaches farthest, by a point of the lowest place."""
+    top = start
+    for b in range(start + 1, end):
+        if reach[b] > reach[top] or (reach[b] == reach[top] and which[b] < which[top]):
             top = b
     return top
 
 
 def interpolate(points: F32, queries: F32) -> tuple[I64, F32]:
     """Return the three nearest of ``points`` ``(M, 3)`` to each query ``(Q, 3)`` and weights by inverse distance."""
-    distance, places = nearest(points, queries, 3)
+    distance, places = three_nearest(points, queries)
     inverse = np.float32(1.0) / (distance + np.float32(_FLOOR))
     return places, inverse / inverse.sum(axis=1, keepdims=True)
 

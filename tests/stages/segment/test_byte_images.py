@@ -1,12 +1,22 @@
 """Kernels of byte images against plain NumPy."""
 
 import numpy as np
+import pytest
+import torch
 
-from salpcc.stages.segment.byte_images import halved, lifted
+from salpcc.stages.segment.bfloat16 import as_numbers
+from salpcc.stages.segment.byte_images import halved, lifted, rounded
 
 
 def _bytes(*shape: int) -> np.ndarray:
     return np.random.default_rng(sum(shape)).integers(0, 256, shape).astype(np.uint8)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_rounded(dtype: torch.dtype) -> None:
+    image = torch.from_numpy(_bytes(4, 6, 20)).to(dtype) * 1.5 + 0.25
+    wanted = image.float().round().clamp_max(255).numpy()
+    assert (rounded(as_numbers(image)) == wanted).all() and wanted.max() == 255
 
 
 def test_halved_and_lifted() -> None:

@@ -36,6 +36,15 @@ def test_a_step_in_range_is_seen_from_both_sides() -> None:
     assert not features[2:6, :, :15].any()
 
 
+def test_means_of_intensities_end_at_the_image() -> None:
+    """The first and the last row have neighbours on one side; none is counted twice."""
+    planes = np.zeros((6, 3, 8), np.float32)
+    planes[3] = 10.0
+    planes[4] = np.array([0.2, 0.4, 0.9])[:, None]
+    mean = pixel_features(planes, True)[18] / 2
+    assert np.allclose(mean, np.array([0.3, 0.5, 0.65])[:, None])
+
+
 def test_turning_the_scan_turns_the_features(make_scan) -> None:
     planes = project(make_scan().points, make_scan().intensity).planes
     turned = np.roll(planes, 100, axis=2)

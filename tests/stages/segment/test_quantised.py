@@ -59,13 +59,29 @@ def test_the_levels_see_what_shines(seen, monkeypatch, kind: str) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: able)
     features, sets = stack([network_input(planes, SMALL.fold, SMALL.n_points, circular=True)])
     fused, quantised = FusedNetwork(network), QuantisedNetwork(network)
-    shown = features[0].permute(1, 2, 0), fused.points.first_level(sets)[0]
-    shown += sets.pixel_parents[0], sets.pixel_weights[0], SMALL.fold
     with torch.inference_mode():
-        wanted, found = fused.fusion(*shown), quantised.fusion(*shown).float()
+        wanted = fused.fusion(fused.shown(features, sets))
+        found = quantised.fusion(quantised.shown(planes)).float()
     steps = wanted.sum((0, 2, 3)) / found.sum((0, 2, 3))
     off = (found * steps[:, None, None] - wanted).abs().amax((0, 2, 3))
     assert (off < 0.05 * wanted.amax((0, 2, 3))).all()
+
+
+@needs_vnni
+@pytest.mark.parametrize("kind", ["avx512_bf16", ""])
+def test_it_is_shown_what_the_trained_one_is(seen, monkeypatch, kind: str) -> None:
+    """Features and what the points say, folded and laid out at once, in float32 or bfloat16."""
+    network, planes = seen
+    able = torch.cpu.get_capabilities() | {"avx512_bf16": bool(kind), "amx_bf16": False}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: able)
+    inputs = stack([network_input(planes, SMALL.fold, SMALL.n_points, circular=True)])
+    with torch.inference_mode():
+        wanted = FusedNetwork(network).shown(*inputs)
+        found = QuantisedNetwork(network).shown(planes)
+    dtype = torch.bfloat16 if kind else torch.float32
+    assert [one.dtype for one in found] == [dtype] * 4
+    assert all(torch.equal(one, other.to(dtype)) for one, other in zip(found[:3], wanted[:3], strict=True))
+    assert torch.allclose(found[3].float(), wanted[3], rtol=0.01 if kind else 1e-5, atol=1e-5)
 
 
 @needs_vnni
