@@ -11,7 +11,6 @@ from rich.filesize import decimal
 from rich.table import Table
 
 from salpcc.pipeline.cli.summary import layers_in_words, smaller
-from salpcc.stages.evaluate.measures.metrics import SOURCE_BYTES_PER_POINT
 
 STREAMS = ("geometry", "intensity", "classes", "side")
 _MOST_NAMES = 12  # of side files
@@ -50,6 +49,10 @@ def show_shard(found: dict[str, Any], console: Console) -> None:
 
 
 def _facts(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    from salpcc.stages.evaluate.measures.metrics import (
+        SOURCE_BYTES_PER_POINT,
+    )  # of NumPy, which no help needs
+
     config, totals = found["config"], found["totals"]
     yield "archive", found["path"]
     yield "of", f"sequence {found['sequence']} ({found['source']}), {_span(found)}"
