@@ -2,13 +2,17 @@
 
 Compiled kernels are kept per user, in a folder that is named by all sources of this package: numba looks at the file of a kernel only,
 not at those of the functions that it takes in, and would go on with what they were before an update. ``NUMBA_CACHE_DIR`` overrides it.
+A user without a home to write in, as in containers and services, has it among the temporary files.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import sys
+import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -17,8 +21,26 @@ def _kernels_folder() -> Path:
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         facts = path.stat()
         digest.update(f"{path}\0{facts.st_size}\0{facts.st_mtime_ns}\n".encode())
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(base) / "salpcc-pipeline" / f"kernels-{digest.hexdigest()[:16]}"
+    return _caches() / f"kernels-{digest.hexdigest()[:16]}"
+
+
+def _caches() -> Path:
+    """A folder that this user can write in, and nobody else: kernels are code."""
+    kept = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "salpcc-pipeline"
+    if kept.is_absolute():  # an unknown user's home stays ~
+        with suppress(OSError):
+            kept.mkdir(parents=True, exist_ok=True)
+        if os.access(kept, os.W_OK | os.X_OK):
+            return kept
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    own = Path(tempfile.gettempdir()) / f"salpcc-pipeline-{user}"
+    with suppress(OSError):
+        own.mkdir(mode=0o700)
+    with suppress(OSError):
+        facts = own.lstat()
+        if facts.st_uid == user and stat.S_ISDIR(facts.st_mode) and not facts.st_mode & 0o022:
+            return own
+    return Path(tempfile.mkdtemp(prefix="salpcc-pipeline-"))
 
 
 def kernels_are_kept() -> bool:

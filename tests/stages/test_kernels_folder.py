@@ -41,6 +41,24 @@ def test_a_folder_that_is_set_stays(tmp_path: Path) -> None:
     assert folder(ROOT / "src", NUMBA_CACHE_DIR=str(tmp_path)) == str(tmp_path)
 
 
+def test_a_user_without_a_home_has_it_among_temporary_files(tmp_path: Path) -> None:
+    """Not where others could put kernels of their own: these are code."""
+    (tmp_path / "file").touch()
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    for nowhere in (str(tmp_path / "file" / "cache"), "~/.cache"):
+        found = folder(ROOT / "src", XDG_CACHE_HOME=nowhere, TMPDIR=str(temporary))
+        own = temporary / f"salpcc-pipeline-{os.getuid()}"
+        assert Path(found).parent == own and own.stat().st_mode & 0o777 == 0o700
+    own.chmod(0o777)
+    other = Path(folder(ROOT / "src", XDG_CACHE_HOME=nowhere, TMPDIR=str(temporary))).parent
+    assert other.parent == temporary and other != own and other.stat().st_mode & 0o777 == 0o700
+    own.rmdir()
+    own.symlink_to(tmp_path)
+    other = Path(folder(ROOT / "src", XDG_CACHE_HOME=nowhere, TMPDIR=str(temporary))).parent
+    assert other.parent == temporary and other != own
+
+
 def test_the_first_run_says_that_it_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
