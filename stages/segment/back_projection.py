@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.labels import CLASSES
-from salpcc.stages.segment.range_image import RANGE, RangeImage
+from salpcc.stages.segment.range_image import RANGE, RangeImage, wrapped
 
 _WINDOW = 2  # pixels to each side
 _NEAREST = 5
@@ -46,7 +46,7 @@ def _vote(
         voter[:] = -1
         for a in range(max(r - _WINDOW, 0), min(r + _WINDOW, rows - 1) + 1):
             for step in range(-_WINDOW, _WINDOW + 1):
-                b = (c + step) % columns
+                b = wrapped(c + step, columns)
                 if index[a, b] < 0:
                     continue
                 off = abs(shown[a, b] - distance[i])

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from salpcc.schemas.labels import CLASSES, GROUND, MOVABLE
-from salpcc.stages.segment.range_image import HEIGHT, RANGE
+from salpcc.stages.segment.range_image import HEIGHT, RANGE, wrapped
 from salpcc.stages.segment.segmenter import Segmentation
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
+U8 = NDArray[np.uint8]
 
 _GAP, _GAP_BY_RANGE = 0.25, 0.005  # metres between pixels of one object, and more for every metre of range
 _BESIDE = 2  # pixels to each side that may be one object's
@@ -105,8 +106,8 @@ def connected(planes: F32, asked: NDArray[np.bool_]) -> tuple[I32, int]:
             gap = _GAP + _GAP_BY_RANGE * planes[RANGE, i, j]
             for a in range(i, min(i + _BESIDE, rows - 1) + 1):
                 for step in range(1 if a == i else -_BESIDE, _BESIDE + 1):
-                    b = (j + step) % columns
-                    if not asked[a, b]:
+                    b = wrapped(j + step, columns)
+                    if not asked[a, b] or parent[a * columns + b] == here:  # most are one part already
                         continue
                     if _square(planes, i, j, a, b) < gap * gap:
                         there = _root(parent, a * columns + b)
@@ -271,15 +272,26 @@ def judge_objects(found: Sequence[Segmentation], steps: Sequence[F64 | None]) ->
     best = votes.argmax(axis=2).astype(np.uint8)[whole]
     judged = []
     for one, things, start, end in zip(found, seen, starts, starts[1:], strict=False):
-        within = things.names >= 0
-        holders = _holders(one, things, mean[start:end])
-        names = start + holders[things.names[within]]
+        whose = start + _holders(one, things, mean[start:end])
         groups, classes = one.groups.copy(), one.best.copy()
-        groups[:, within] = mean[names].T
-        classes[:, within] = best[names].T
-        groups[MOVABLE, things.beyond] = 0.0
+        _hand_out(things.names, things.beyond, mean[whose], best[whose], groups, classes)
         judged.append(replace(one, groups=groups, best=classes))
     return judged
+
+
+@njit(cache=True)
+def _hand_out(names: I32, beyond: NDArray[np.bool_], mean: F32, best: U8, groups: F32, classes: U8) -> None:
+    """Give the pixels ``(3, H, W)`` of each object its ``mean`` probabilities and its ``best`` classes, both ``(n, 3)``."""
+    count, rows, columns = groups.shape
+    for i in range(rows):
+        for j in range(columns):
+            k = names[i, j]
+            if k >= 0:
+                for group in range(count):
+                    groups[group, i, j] = mean[k, group]
+                    classes[group, i, j] = best[k, group]
+            if beyond[i, j]:
+                groups[MOVABLE, i, j] = 0.0
 
 
 def _holders(one: Segmentation, things: Objects, mean: F32) -> I32:

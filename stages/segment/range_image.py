@@ -61,6 +61,14 @@ def _places(planes: F32, index: I32) -> F32:
     return out
 
 
+@njit(cache=True, inline="always")
+def wrapped(column: int, columns: int) -> int:
+    """Return the column of a turn that is counted on beyond its ends; a division takes longer than all that is asked of it."""
+    if column < 0:
+        return column + columns
+    return column - columns if column >= columns else column
+
+
 @njit(cache=True)
 def nearest_cone(x: float, y: float, z: float, tangent: F64, z0: F64, start: int) -> int:
     """Return the row of the cone that a point is vertically nearest to; -1 out of reach.

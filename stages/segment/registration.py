@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from salpcc.schemas.labels import MOVABLE
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.range_image import RANGE, nearest_cone
+from salpcc.stages.segment.range_image import RANGE, nearest_cone, wrapped
 from salpcc.stages.segment.segmenter import Segmentation
 
 F32 = NDArray[np.float32]
@@ -42,7 +42,7 @@ def surface_normals(planes: F32) -> F32:
     for i in range(1, rows - 1):
         for j in range(columns):
             r = planes[RANGE, i, j]
-            left, right = (j - 3) % columns, (j + 3) % columns
+            left, right = wrapped(j - 3, columns), wrapped(j + 3, columns)
             near = 0.3 + 0.1 * r
             alike = True
             for other in (
@@ -92,11 +92,10 @@ def _match(
         centre = int(0.5 * (1.0 - np.arctan2(y, x) / np.pi) * columns)
         nearest = reach * reach
         at_row, at_column = -1, -1
-        inside = _COLUMNS <= centre < columns - _COLUMNS
         # No branches but on the whole: which is the nearest follows no pattern.
         for a in range(max(row - 1, 0), min(row + 1, rows - 1) + 1):
             for step in range(-_COLUMNS, _COLUMNS + 1):
-                b = centre + step if inside else (centre + step) % columns
+                b = wrapped(centre + step, columns)
                 dx, dy, dz = places[a, b, 0] - x, places[a, b, 1] - y, places[a, b, 2] - z
                 off = dx * dx + dy * dy + dz * dz
                 closer = off < nearest

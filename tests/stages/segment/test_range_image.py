@@ -4,7 +4,7 @@ import numpy as np
 
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep, source_places
-from salpcc.stages.segment.range_image import COLUMNS, INTENSITY, RANGE, project
+from salpcc.stages.segment.range_image import COLUMNS, INTENSITY, RANGE, project, wrapped
 
 
 def test_rows_are_the_lasers_of_the_lattice(make_scan, sensor) -> None:
@@ -45,3 +45,7 @@ def test_what_is_no_return_has_no_pixel() -> None:
     image = project(points, np.full(5, np.nan, np.float32))
     assert (image.row == -1).all() and (image.index == -1).all() and not image.planes.any()
     assert len(project(np.zeros((0, 3), np.float32), np.zeros(0, np.float32)).row) == 0
+
+
+def test_a_turn_has_no_end() -> None:
+    assert [wrapped(column, 8) for column in (-3, 0, 7, 8, 10)] == [5, 0, 7, 0, 2]
