@@ -10,7 +10,7 @@ millimetre, and whole ticks tell the yaw. Nothing is rounded here, so unlike KIT
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -32,6 +32,7 @@ _PADDED = 1 << 15
 _LINE = 0.3
 _ON_LATTICE = 0.003  # metres
 _WORTH_IT = 0.05  # of the points that come onto it
+_ANOTHER = 1e-3  # slope that cones of another sensor are off by; a sensor's own are off by 1e-5, spacings are 3e-3 and more
 FASTEST = 0.2  # radians a turn; the sensor's own turning would pass for yaw
 
 F64 = NDArray[np.float64]
@@ -152,27 +153,68 @@ def _without_lines(columns: F64, rho: F64, good: NDArray[np.bool_], order: I64, 
                         columns[rows[j], c] -= slope * rho[rows[j]] + height
 
 
+@dataclass(frozen=True, eq=False)
+class OnCones:
+    """Points ``(N, 3)`` that tell something, their lasers and places ``(N,)``, and what cones say of their motion: all but the yaw."""
+
+    points: F64
+    laser: I64
+    s: F64
+    lasers: int
+    motion: F64
+
+    @property
+    def few(self) -> slice:
+        """A sample of the points."""
+        return slice(None, None, len(self.points) // _SAMPLE + 1)
+
+    def are_of(self, sensor: SensorModel) -> bool:
+        """Tell whether the cones may be those of a sensor: steps that are sought for others are sought in vain, and that takes seconds."""
+        few = self.few
+        laser = self.laser[few]
+        slope = fit_cones(undo(self.points[few], self.s[few], self.motion), laser, self.lasers)[0].slope
+        apart = np.abs(slope[:, None] - np.tan(sensor.theta)[None, :]).min(axis=1)
+        return bool(np.median(apart[laser]) < _ANOTHER)
+
+
 def solve(points: F64, laser: I64, s: F64, lasers: int, ticks: int = 0, count: float = 0.0) -> Solved | None:
     """Find the motion of points ``(N, 3)`` of lasers ``(N,)`` at places ``(N,)``; None where nothing locks.
 
     Args:
         ticks, count: the sensor's steps; 0 where they are not known.
     """
-    try:
-        return _solved(points, laser, s, lasers, ticks, count)
-    except np.linalg.LinAlgError:  # nothing like a turn of a sensor
-        return None
+    on_cones = put_on_cones(points, laser, s, lasers)
+    return None if on_cones is None else lock(on_cones, ticks, count)
 
 
-def _solved(points: F64, laser: I64, s: F64, lasers: int, ticks: int, count: float) -> Solved | None:
+def put_on_cones(points: F64, laser: I64, s: F64, lasers: int) -> OnCones | None:
+    """Take the first step of :func:`solve`; None where points make no cones."""
     ok = (laser >= 0) & (np.hypot(points[:, 0], points[:, 1]) > _NEAREST)
     points, laser, s = points[ok], laser[ok], s[ok]
     if len(points) < _SAMPLE // 10:
         return None
-    few = slice(None, None, len(points) // _SAMPLE + 1)
-    motion = np.zeros(6)
-    for _ in range(6):
-        motion = _by_cones(points[few], laser[few], s[few], lasers, motion, (0, 1, 2, 3, 4))
+    found = OnCones(points, laser, s, lasers, np.zeros(6))
+    few = found.few
+    try:
+        for _ in range(6):
+            motion = _by_cones(points[few], laser[few], s[few], lasers, found.motion, (0, 1, 2, 3, 4))
+            found = replace(found, motion=motion)
+    except np.linalg.LinAlgError:  # nothing like a turn of a sensor
+        return None
+    return found
+
+
+def lock(found: OnCones, ticks: int = 0, count: float = 0.0) -> Solved | None:
+    """Take the other steps of :func:`solve`."""
+    try:
+        return _locked(found, ticks, count)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _locked(found: OnCones, ticks: int, count: float) -> Solved | None:
+    points, laser, s, lasers, motion = found.points, found.laser, found.s, found.lasers, found.motion
+    few = found.few
     early = np.abs(s) <= np.quantile(np.abs(s), min(max(0.1, _ENOUGH * lasers / len(s)), 1.0))
     if not count:
         raw = undo(points[early], s[early], motion)
@@ -183,10 +225,10 @@ def _solved(points: F64, laser: I64, s: F64, lasers: int, ticks: int, count: flo
     motion = _by_counts(points, laser, s, lasers, motion, count)
     for _ in range(2):
         motion = _by_cones(points[few], laser[few], s[few], lasers, motion, (3, 4))
-    found = _by_ticks(undo(points, s, motion), laser, s, lasers, (ticks,) if ticks else TICKS)
-    if found is None:
+    turned = _by_ticks(undo(points, s, motion), laser, s, lasers, (ticks,) if ticks else TICKS)
+    if turned is None:
         return None
-    motion[5], ticks = found
+    motion[5], ticks = turned
     return Solved(motion, ticks, count)
 
 

@@ -128,8 +128,9 @@ def scan_to_sweep(
         sensor, points
     ):  # not rounded to 1 mm: no returns of this lattice, but the coder of strays knows it
         return _all_strays(scan, None)
+    returns = within & points.any(axis=1)  # what is no return lies on any lattice
     locked, motion = _find_motion(
-        points if within.all() else points[within], start, seek or scan.cloud is None
+        points if returns.all() else points[returns], start, seek or scan.cloud is None
     )
     if not locked:
         return _all_strays(scan, find_motion(points, sensor) if seek else None)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.aim import aim, lies_on
 from salpcc.stages.lattice.lattice import driven
-from salpcc.stages.lattice.list_motion import F64, FASTEST, I64, solve, undo
+from salpcc.stages.lattice.list_motion import F64, FASTEST, I64, lock, put_on_cones, undo
 from salpcc.stages.lattice.sensor_model import SensorModel
 
 REFERENCES = (1.0, 0.5, 0.0)
@@ -50,7 +50,12 @@ def find_timed_motion(
     best: tuple[float, F64, float] | None = None
     for reference in REFERENCES:
         s = timed_places(time, reference)[seen]
-        found = solve(wide[few], number[few], s[few], lasers, sensor.ticks_per_turn, sensor.count)
+        on_cones = put_on_cones(wide[few], number[few], s[few], lasers)
+        if on_cones is None:
+            continue
+        if not on_cones.are_of(sensor):
+            return None
+        found = lock(on_cones, sensor.ticks_per_turn, sensor.count)
         if found is None:
             continue
         motion, off = onto_lattice(sensor, wide, s, _yawed(sensor, wide, s, found.motion))

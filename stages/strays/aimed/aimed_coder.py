@@ -169,7 +169,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 bits = np.int32(0 if kind == ZERO else NAN_BITS)
                 points[i, 0] = points[i, 1] = points[i, 2] = bits.view(np.float32)
             continue
-        if not writing and state[3] != 0:
+        if state[3] != 0:
             return
         cycle = i // slots if left > 0 else i
         x = y = z = 0.0

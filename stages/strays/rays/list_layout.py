@@ -18,6 +18,7 @@ _LASERS = (4, 260)  # lags that may be a firing
 _COLUMNS = (260, 6000)  # and those that may be a ring
 _LONGEST = 1 << 15
 _BETTER = 0.98  # a layout that saves less is chance
+_SPARE = 16  # bytes that a stream may need beyond its own
 
 
 def likely_layouts(points: NDArray[np.float32], lanes: bool) -> list[Layout]:
@@ -58,10 +59,13 @@ def find_layout(
     part = np.ascontiguousarray(points[:_TRIED])
     some = None if lanes is None else lanes[:_TRIED]
     out = np.empty(16 * len(part) + 4096, np.uint8)
-    sizes = []
+    sizes: list[float] = []
     for layout in candidates:
-        moved = move_points(part, layout, form, per, step, tolerance, some)[0]
-        sizes.append(write_points(moved, layout, form, per, step, out, some))
+        moved = part if tolerance == 0.0 else move_points(part, layout, form, per, step, tolerance, some)[0]
+        size = write_points(moved, layout, form, per, step, out, some)
+        sizes.append(size if size >= 0 else np.inf)
+        if size >= 0:  # what takes more than the best so far need not be written to its end
+            out = out[: size + _SPARE]
     best = int(np.argmin(sizes))
     return candidates[best] if sizes[best] < _BETTER * sizes[0] else candidates[0]
 

@@ -117,7 +117,7 @@ def code_points(  # type: ignore[no-untyped-def]
                 if way == READ:
                     points[i, c] = coordinate_of((high << 16 | low) - (1 << 31), BITS, per)
             continue
-        if way == READ and state[3] != 0:
+        if state[3] != 0:
             return
         source_x, source_y, source_z = (
             np.float64(points[i, 0]),

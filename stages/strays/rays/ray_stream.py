@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
@@ -22,7 +23,20 @@ from salpcc.stages.strays.rays.ray_coder import (
     code_points,
     new_models,
 )
-from salpcc.stages.strays.rays.ray_forms import FAR
+from salpcc.stages.strays.rays.ray_forms import ALONG, BITS, FAR, coordinate_of, whole_of
+
+
+@njit(cache=True, error_model="numpy")
+def _loosen(points: F32, kinds: Kinds, form: int, per: float) -> None:
+    """Make LOOSE what the numbers of a form that codes coordinates do not hold; where a point was guessed does not matter to that."""
+    for i in range(len(points)):
+        if kinds[i] != NORMAL:
+            continue
+        for c in range(3):
+            value = np.float64(points[i, c])
+            held = np.float64(coordinate_of(whole_of(value, form, per), form, per))
+            if whole_of(held, BITS, per) != whole_of(value, BITS, per):
+                kinds[i] = LOOSE
 
 
 def move_points(
@@ -45,6 +59,9 @@ def move_points(
         lanes = np.zeros(1, np.uint8)
     elif lanes is None:
         lanes = find_lanes(points)
+    if form != ALONG and tolerance == 0.0:
+        _loosen(moved, kinds, form, float(per))
+        return moved, kinds, lanes
     unread = np.zeros(1, np.uint8)
     code_points(
         MOVE, moved, kinds, lanes, *layout, form, float(per), float(step), float(tolerance),
