@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.range_coder import new_bits
+from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import code_mixed_bit, code_raw, failed, finish_coder, start_coder, uncounted
 
 LEFT, ABOVE, SLOPE, LINE, MEAN, EDGE = range(6)
@@ -32,15 +33,6 @@ def _residual_models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
 @njit(cache=True)
 def _wrap(value: int, width: int) -> int:
     return (value << (64 - width)) >> (64 - width)
-
-
-@njit(cache=True)
-def _size(magnitude: int) -> int:
-    size = 0
-    while magnitude != 0:
-        size += 1
-        magnitude = (magnitude >> 1) & 0x7FFFFFFFFFFFFFFF
-    return size
 
 
 def nothing_yet() -> NDArray[np.int64]:
@@ -92,7 +84,7 @@ def costs(values: Values, void: Flags, period: int, width: int) -> NDArray[np.in
         left, second, above, corner = neighbours(values, void, i, period, last)
         for p in range(PREDICTORS):
             residual = _wrap(values[i] - _predict(p, left, second, above, corner), width)
-            size = _size(abs(residual))
+            size = size_of(abs(residual))
             total[p] += size + (2 if size > 0 else 0)
         kind = 1 if void[i] else 0
         last[kind, 1] = last[kind, 0]
@@ -126,7 +118,7 @@ def _code_residual(
 ) -> tuple[int, int]:
     """Code zero or not, sign, size in unary, two leading bits, the rest as it is; returns residual and size."""
     magnitude = abs(residual)
-    size = _size(magnitude)
+    size = size_of(magnitude)
     if code_mixed_bit(writing, state, buffer, a, f, b, g, 1 if size > 0 else 0) == 0:
         return 0, 0
     negative = code_mixed_bit(writing, state, buffer, a, f + 1, b, g + 1, 1 if residual < 0 else 0)
@@ -171,7 +163,7 @@ def _walk(
     for i in range(len(values)):
         left, second, above, corner = neighbours(values, void, i, period, last)
         predicted = _predict(predictor, left, second, above, corner)
-        f, g = _contexts(sizes, void, i, period, last, _size(abs(left - above) + abs(above - corner)))
+        f, g = _contexts(sizes, void, i, period, last, size_of(abs(left - above) + abs(above - corner)))
         residual = _wrap(values[i] - predicted, width)
         residual, sizes[i] = _code_residual(writing, residual, width, state, a, f, b, g, buffer)
         if failed(state):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numba.cpython.unsafe.numbers import leading_zeros  # one instruction of the processor
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.walks import code_mixed_bit, code_raw, uncounted
@@ -23,10 +24,7 @@ Bits = NDArray[np.uint16]
 @njit(cache=True)
 def size_of(magnitude: int) -> int:
     """Number of bits of a magnitude."""
-    size = 0
-    while (magnitude >> size) != 0:
-        size += 1
-    return size
+    return int(64 - leading_zeros(np.int64(magnitude)))
 
 
 @uncounted

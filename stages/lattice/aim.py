@@ -53,9 +53,10 @@ def _nearest(z, rho, parameters, constants, tangent, order, wide, least):  # typ
 
 
 @njit(cache=True, error_model="numpy")
-def _aim(parameters, count_size, ticks, points, laser):  # type: ignore[no-untyped-def]
+def _aim(parameters, count_size, turn, points, laser):  # type: ignore[no-untyped-def]
     constants = laser_constants(parameters)
-    sines, cosines = turn_tables(ticks)
+    sines, cosines = turn
+    ticks = len(sines)
     tangent = constants[:, 1] / constants[:, 0]
     order, wide, least = np.argsort(tangent), np.abs(parameters[:, 1]).max(), constants[:, 0].min()
     n = len(points)
@@ -87,7 +88,8 @@ def aim(sensor: SensorModel, points: F64, laser: I64 | None = None) -> tuple[I64
         laser: ``(N,)``, where it is known; -1 where not. Without it, the laser whose cone is nearest.
     """
     chosen = np.full(len(points), -1) if laser is None else laser.copy()
-    tick, count, off = _aim(sensor.parameters, sensor.count, sensor.ticks_per_turn, points, chosen)
+    turn = turn_tables(sensor.ticks_per_turn)
+    tick, count, off = _aim(sensor.parameters, sensor.count, turn, points, chosen)
     return chosen, tick, count, off
 
 

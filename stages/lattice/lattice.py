@@ -67,12 +67,13 @@ def model_point(
 def _unproject(
     parameters: NDArray[np.float64],
     count_size: float,
-    ticks: int,
+    turn: tuple[NDArray[np.float64], NDArray[np.float64]],
     laser: NDArray[np.uint8],
     tick: NDArray[np.int32],
     count: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    sines, cosines = turn_tables(ticks)
+    sines, cosines = turn
+    ticks = len(sines)
     constants = laser_constants(parameters)
     points = np.empty((len(laser), 3))
     for i in range(len(laser)):
@@ -100,9 +101,8 @@ def unproject(
     >>> np.hypot(points[:, 0], points[:, 1]).round(2), points[:, 2].round(2)  # ahead, and a quarter turn to the left
     (array([9.99, 3.62]), array([ 0.55, -1.57]))
     """
-    return _unproject(
-        sensor.parameters, sensor.count, sensor.ticks_per_turn, laser, tick, count.astype(np.float64)
-    )
+    turn = turn_tables(sensor.ticks_per_turn)
+    return _unproject(sensor.parameters, sensor.count, turn, laser, tick, count.astype(np.float64))
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)

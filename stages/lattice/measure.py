@@ -22,9 +22,10 @@ def _ordered(bits: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _measure(  # type: ignore[no-untyped-def]
-    parameters, count_size, ticks, laser, raw, published, points
+    parameters, count_size, turn, laser, raw, published, points
 ):
-    sines, cosines = turn_tables(ticks)
+    sines, cosines = turn
+    ticks = len(sines)
     constants = laser_constants(parameters)
     n = len(laser)
     tick = np.zeros(n, np.int32)
@@ -92,7 +93,7 @@ def measure(
     result: tuple[
         NDArray[np.int32], NDArray[np.int32], NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]
     ] = _measure(
-        sensor.parameters, sensor.count, sensor.ticks_per_turn, laser, raw, published,
+        sensor.parameters, sensor.count, turn_tables(sensor.ticks_per_turn), laser, raw, published,
         points.view(np.int32),
     )  # fmt: skip
     return result

@@ -8,6 +8,7 @@ bit differs between systems. The error is below 2e-16, relative to a result of o
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -107,9 +108,14 @@ def sin_cos(x: float) -> tuple[float, float]:
     return -c, s
 
 
-@njit(cache=True, error_model="numpy")
+@lru_cache(maxsize=8)
 def turn_tables(divisions: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return sine and cosine of ``2 pi k / divisions`` for every k in 0..divisions - 1, float64."""
+    """Return sine and cosine of ``2 pi k / divisions`` for every k in 0..divisions - 1, float64, not to be written to: those of 36,000 ticks take longer than most of what is done with them."""
+    return _turn_tables(divisions)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy")
+def _turn_tables(divisions: int) -> tuple[np.ndarray, np.ndarray]:
     sines = np.empty(divisions)
     cosines = np.empty(divisions)
     for k in range(divisions):

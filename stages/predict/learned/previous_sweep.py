@@ -50,7 +50,7 @@ class WarpedSweep(NamedTuple):
 def _seen(laser, tick, count, step, sensor, motion_before, motion, ends):  # type: ignore[no-untyped-def]
     """Row and bits of the azimuth in one number (-1 where it is not seen), and ``(3, M)`` azimuth in ticks, inverse range, height of each return of the sweep before.
 
-    ``sensor`` are its parameters, the size of a count and the ticks of a turn; ``ends`` apex and tangent of the cones,
+    ``sensor`` are its parameters, the size of a count and the tables of a turn; ``ends`` apex and tangent of the cones,
     ``(2, L + 2)``, with one that nothing is near at either end.
     """
     n = len(laser)
@@ -58,9 +58,9 @@ def _seen(laser, tick, count, step, sensor, motion_before, motion, ends):  # typ
     seen = np.empty((3, n), np.float32)
     azimuth, inverses, height = seen[0], seen[1], seen[2]
     bits = azimuth.view(np.int32)
-    parameters, count_size, ticks = sensor
+    parameters, count_size, sines, cosines = sensor
+    ticks = len(sines)
     apex, tangent = ends[0], ends[1]
-    sines, cosines = turn_tables(ticks)
     constants = laser_constants(parameters)
     m0 = (
         motion_before[0],
@@ -203,7 +203,7 @@ def warp(before: Sweep | None, motion: NDArray[np.float64] | None, sensor: Senso
     of_lasers = cones(sensor)
     ends = np.full((2, sensor.n_lasers + 2), [[_NOWHERE], [0.0]])
     ends[:, 1:-1] = sensor.parameters[:, 1], of_lasers[:, 1]
-    of_sensor = (sensor.parameters, sensor.count, sensor.ticks_per_turn)
+    of_sensor = (sensor.parameters, sensor.count, *turn_tables(sensor.ticks_per_turn))
     key, seen = _seen(
         before.laser, before.tick, before.count, before.step, of_sensor, before.motion, motion, ends
     )
