@@ -8,6 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PER_VALUE, _SPARE = 4, 4096  # bytes that are enough, but for values that nobody expects
+_END = 16  # bytes that an encoder may need beyond those that it keeps
+ENDLESS = 1 << 60  # more bytes, or bits, than anything takes
+
+
+def room_for(most: int, to_beat: int) -> NDArray[np.uint8]:
+    """Return a buffer for what may take ``most`` bytes, but is of no use if it takes more than ``to_beat``: a walk ends where the buffer does."""
+    return np.empty(min(most, to_beat + _END), np.uint8)
 
 
 def run_encoder(

@@ -20,6 +20,7 @@ LEFT, ABOVE, SLOPE, LINE, MEAN, EDGE = range(6)
 PREDICTORS = 6
 _SIZES = 65  # magnitudes of 0 to 64 bits
 _NODES = 2 + 4 * _SIZES  # zero, sign, and per size: go on, two leading bits
+_CHECKED = 256  # values after which costs are looked at
 _SLOPES, _SIZES_TOLD = 21, 12  # sizes told apart in the two families of contexts
 
 Values = NDArray[np.int64]
@@ -76,11 +77,13 @@ def _predict(predictor: int, left: int, second: int, above: int, corner: int) ->
 
 
 @njit(cache=True)
-def costs(values: Values, void: Flags, period: int, width: int) -> NDArray[np.int64]:
-    """Rough bits that the residuals of each predictor would take, ``(PREDICTORS,)``."""
+def costs(values: Values, void: Flags, period: int, width: int, to_beat: int) -> NDArray[np.int64]:
+    """Rough bits that the residuals of each predictor would take, ``(PREDICTORS,)``; of fewer values where all are above ``to_beat``."""
     total = np.zeros(PREDICTORS, np.int64)
     last = np.full((2, 2), -1, np.int64)
     for i in range(len(values)):
+        if i % _CHECKED == 0 and total.min() > to_beat:
+            break
         left, second, above, corner = neighbours(values, void, i, period, last)
         for p in range(PREDICTORS):
             residual = _wrap(values[i] - _predict(p, left, second, above, corner), width)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import room_for
 from salpcc.stages.entropy.columns import Flags, Values, neighbours, nothing_yet
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.walks import code_mixed_tree, failed, finish_coder, start_coder, uncounted
@@ -38,16 +39,15 @@ def _walk(
     return finish_coder(writing, state, buffer)
 
 
-def encode_symbols(values: Values, void: Flags, period: int) -> bytes:
-    """Encode values ``(N,)`` of 0 to 255."""
-    out = np.empty(16 * len(values) + 4096, np.uint8)  # a bit costs 11 at most
+def encode_symbols(values: Values, void: Flags, period: int, to_beat: int) -> bytes | None:
+    """Encode values ``(N,)`` of 0 to 255; None where that takes more than the bytes ``to_beat``."""
+    out = room_for(16 * len(values) + 4096, to_beat)  # a bit costs 11 at most
     written = int(
         _walk(
             True, start_coder(True, out), nothing_yet(), values.copy(), void, period, *_symbol_models(), out
         )
     )
-    assert written >= 0
-    return out[:written].tobytes()
+    return out[:written].tobytes() if written >= 0 else None
 
 
 def decode_symbols(void: Flags, period: int, data: bytes) -> tuple[Values, bool]:

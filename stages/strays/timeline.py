@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import ENDLESS, room_for
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
 from salpcc.stages.entropy.walks import code_mixed_bit
@@ -28,6 +29,7 @@ _LONGEST = 1 << 32
 _MOST_SKIPPED = 64  # on the way to a laser; to go on from there is cheaper
 _STEADY = 15  # points of a group since its times last were not those that they were due at
 _SIZES = (0, 16, 32, 64, 128)  # lasers of a sensor
+_NEARLY = 1.1  # of the shortest; then rays tell which lasers are of one sensor
 _HEAD = struct.Struct("<BBq")
 
 I64 = NDArray[np.int64]
@@ -156,9 +158,9 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
                 steady[g] = 0
             else:
                 steady[g] += 1
+        if state[3] != 0:
+            return
         if not writing:
-            if state[3] != 0:
-                return
             laser[i], time[i] = k, now
         due[k] = now + cycle[g]
         missed[k] = missed[k] << 1
@@ -167,16 +169,17 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
 
 
 def find_timelines(laser: Lasers, time: I64) -> list[tuple[Timeline, bytes]]:
-    """Return the timelines that points of lasers ``(N,)`` at times ``(N,)`` may have, with their streams, the shortest first; none where times say nothing of lasers."""
-    found = []
+    """Return the timelines that points of lasers ``(N,)`` at times ``(N,)`` may have, with their streams, the shortest first, those nearly as short after it; none where times say nothing of lasers."""
+    found: list[tuple[Timeline, bytes]] = []
     for size in _SIZES:
         if size and laser.max(initial=0) < size:
             continue
         line = Timeline(laser, time, size)
-        coded = encode_timeline(line)
+        coded = encode_timeline(line, int(_NEARLY * min((len(told) for _, told in found), default=ENDLESS)))
         if coded is not None:
             found.append((line, coded))
-    return sorted(found, key=lambda one: len(one[1]))
+    found.sort(key=lambda one: len(one[1]))
+    return [(line, told) for line, told in found if len(told) <= _NEARLY * len(found[0][1])]
 
 
 def _cycles(line: Timeline) -> I64 | None:
@@ -194,13 +197,13 @@ def _cycles(line: Timeline) -> I64 | None:
     return cycles
 
 
-def encode_timeline(line: Timeline) -> bytes | None:
-    """Encode lasers and times; None where times do not go round."""
+def encode_timeline(line: Timeline, to_beat: int = ENDLESS) -> bytes | None:
+    """Encode lasers and times; None where times do not go round, or take more than the bytes ``to_beat``."""
     cycles = _cycles(line) if len(line.laser) else None
     if cycles is None:
         return None
     origin = int(line.time[0])
-    out = np.empty(32 * len(line.laser) + 4096, np.uint8)
+    out = room_for(32 * len(line.laser) + 4096, to_beat)
     state = start_encoder()
     _code(True, line.laser, line.time - origin, line.group, cycles, _models(), state, out)
     written = int(finish_encoder(state, out)) if state[3] == 0 else -1

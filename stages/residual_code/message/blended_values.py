@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import ENDLESS, room_for
+from salpcc.stages.entropy.half_octaves import half_octaves
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
 from salpcc.stages.residual_code.message.learned_values import (
@@ -26,7 +28,7 @@ _ALIKE = 0.008  # of the distance; what differs less counts alike
 _RATE = 0.004  # of learning
 _GUIDED = 2000.0  # what a value by the guide counts
 _KEYS, _SLOWEST = 4096, 1.0 / 32.0  # of guides; what a new value counts at least
-_BUCKETS = 48
+_BUCKETS, _NARROWEST = 48, 0.25  # of spreads; up to where the first is
 _LARGEST = float(1 << 36)
 _CLASSES = _BUCKETS // 2
 MOST = 1 << 32  # magnitude of a value
@@ -34,16 +36,6 @@ MOST = 1 << 32  # magnitude of a value
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-
-@njit(cache=True, _nrt=False)
-def _bucket(value: float) -> int:
-    """Half octaves of a spread, from 1/4 up."""
-    bucket, limit = 0, 0.25
-    while bucket < _BUCKETS - 1 and value > limit:
-        limit *= 1.4142135623730951
-        bucket += 1
-    return bucket
 
 
 class _Room(NamedTuple):
@@ -159,8 +151,8 @@ def _code(  # type: ignore[no-untyped-def]
             rough += abs(off[j])
         expected = min(max(expected, -_LARGEST), _LARGEST)
         whole = np.int64(np.floor(expected + 0.5))
-        spread = _bucket(miss + 0.15 * rough)
-        about = _bucket(abs(expected))
+        spread = half_octaves(miss + 0.15 * rough, _NARROWEST, _BUCKETS - 1)
+        about = half_octaves(abs(expected), _NARROWEST, _BUCKETS - 1)
         if learned is not None:
             values[i] = code_learned_value(
                 writing, state, data, learned, i, 0 if width > 0 else laser[i], near, off,
@@ -172,7 +164,7 @@ def _code(  # type: ignore[no-untyped-def]
             )  # fmt: skip
             if not writing:
                 values[i] = whole + number
-        if not writing and state[3] != 0:
+        if state[3] != 0:
             return
         error = min(max(values[i] - expected, -_LARGEST), _LARGEST)
         missed[i] = abs(error)
@@ -193,12 +185,15 @@ def _code(  # type: ignore[no-untyped-def]
 Around = tuple[Flags, F64, int, I64, I64, I64, I64]  # void, ranges, width, laser, above, below, guide
 
 
-def encode_blended(values: I64, around: Around, learned: ValueWalk | None = None) -> bytes:
-    """Encode values ``(N,)`` of a magnitude below MOST; ``learned``: of such columns before, for efforts above ``fast``."""
-    out = np.empty(16 * len(values) + 4096, np.uint8)
+def encode_blended(
+    values: I64, around: Around, learned: ValueWalk | None = None, to_beat: int = ENDLESS
+) -> bytes | None:
+    """Encode values ``(N,)`` of a magnitude below MOST; None where that takes more than the bytes ``to_beat``. ``learned``: of such columns before, for efforts above ``fast``."""
+    out = room_for(16 * len(values) + 4096, to_beat)
     state = start_encoder()
     _code(True, state, out, values, *around, _models(), _new_room(len(values), len(around[4])), learned)
-    return out[: int(finish_encoder(state, out))].tobytes()
+    written = int(finish_encoder(state, out))
+    return out[:written].tobytes() if written >= 0 else None
 
 
 def decode_blended(around: Around, data: bytes, learned: ValueWalk | None = None) -> tuple[I64, bool]:

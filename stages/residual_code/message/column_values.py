@@ -10,12 +10,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import room_for
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
 
 _LARGEST = 1 << 39
 _SIZES = 12  # told apart
 _LOOKED_AT = 64  # columns
+_HEADS = 4096
 
 I64 = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -27,19 +29,34 @@ def find_shifts(values: I64, void: Flags, width: int) -> I64:
     rows = len(values) // width
     shifts = np.zeros(rows, np.int64)
     step = max(width // _LOOKED_AT, 1)
+    same = np.zeros(width, np.int64)  # of each turn from the shift above
+    first, after = np.empty(_HEADS, np.int64), np.empty(width, np.int64)  # columns above, chained by value
     for row in range(1, rows):
-        best, known = -1, shifts[row - 1]
-        for turn in range(width):
-            shift = (known + turn) % width
-            same = 0
+        above = (row - 1) * width
+        same[:] = 0
+        for column in range(0, width, step):
+            here, there = row * width + column, above + column
+            same[0] += not void[here] and not void[there] and values[here] == values[there]
+        if same[0] * step <= width * 3 // 4:
+            same[0] = 0
+            first[:] = -1
+            for column in range(width - 1, -1, -1):
+                if not void[above + column]:
+                    head = values[above + column] & (_HEADS - 1)
+                    after[column], first[head] = first[head], column
             for column in range(0, width, step):
                 here = row * width + column
-                there = (row - 1) * width + (column + shift - known) % width
-                same += not void[here] and not void[there] and values[here] == values[there]
-            if same > best:
-                best, shifts[row] = same, shift
-            if same * step > width * 3 // 4:
+                there = -1 if void[here] else first[values[here] & (_HEADS - 1)]
+                while there >= 0:
+                    same[(there - column) % width] += values[here] == values[above + there]
+                    there = after[there]
+        best = 0
+        for turn in range(width):
+            if same[turn] > same[best]:
+                best = turn
+            if same[turn] * step > width * 3 // 4:
                 break
+        shifts[row] = (shifts[row - 1] + best) % width
     return shifts
 
 
@@ -61,9 +78,9 @@ def _code(writing, state, data, values, void, width, shifts, bits):  # type: ign
             return
         context = (kind * 2 + known) * _SIZES + min(left_size[kind], _SIZES - 1)
         off = code_number(writing, state, data, bits, context, bits, context, off)
+        if state[3] != 0:
+            return
         if not writing:
-            if state[3] != 0:
-                return
             values[i] = expected + off
         left_size[kind] = (size_of(abs(off)) + 1) // 2
         step = values[i] - left[kind]
@@ -73,12 +90,13 @@ def _code(writing, state, data, values, void, width, shifts, bits):  # type: ign
         seen[kind, at] = True
 
 
-def encode_columns(values: I64, void: Flags, width: int, shifts: I64) -> bytes | None:
-    """Encode values ``(N,)``; None where they differ too much."""
-    out = np.empty(12 * len(values) + 4096, np.uint8)
+def encode_columns(values: I64, void: Flags, width: int, shifts: I64, to_beat: int) -> bytes | None:
+    """Encode values ``(N,)``; None where they differ too much, or take more than the bytes ``to_beat``."""
+    out = room_for(12 * len(values) + 4096, to_beat)
     state = start_encoder()
     _code(True, state, out, values, void, width, shifts, _models())
-    return None if state[3] else out[: int(finish_encoder(state, out))].tobytes()
+    written = int(finish_encoder(state, out))
+    return out[:written].tobytes() if written >= 0 else None
 
 
 def decode_columns(void: Flags, width: int, shifts: I64, data: bytes) -> tuple[I64, bool]:

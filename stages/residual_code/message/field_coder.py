@@ -75,13 +75,14 @@ def encode_field(
     if step > 1:
         multiples = encode_field(of_step(values, step), points, None, learned)
         return min(coded, write_multiples(step, multiples), key=len)
-    for other in (
-        encode_laser_record(values, points),
-        encode_column_record(values, points),
-        encode_picture(values, points, learned),
-    ):
-        coded = coded if other is None else min(coded, other, key=len)
-    other = encode_times_record(values, points, len(coded))
+    coded = _shorter(coded, encode_laser_record(values, points))
+    coded = _shorter(coded, encode_column_record(values, points, len(coded)))
+    coded = _shorter(coded, encode_picture(values, points, learned, len(coded)))
+    return _shorter(coded, encode_times_record(values, points, len(coded)))
+
+
+def _shorter(coded: bytes, other: bytes | None) -> bytes:
+    """The shorter of two records, the first of two as long."""
     return coded if other is None else min(coded, other, key=len)
 
 

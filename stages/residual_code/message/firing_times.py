@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import ENDLESS, room_for
 from salpcc.stages.entropy.range_coder import (
     finish_encoder,
     new_bits,
@@ -172,7 +173,7 @@ def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, n
                 new = clock + code_number(
                     writing, state, data, numbers, 1, numbers, 1, min(max(clock, a), b) - clock
                 )
-        if not writing and state[3] != 0:
+        if state[3] != 0:
             return
         if writing and abs(new - clock) > _LARGEST and i > 0:
             state[3] = 1
@@ -189,7 +190,9 @@ def _delays(laser: I64, begins: NDArray[np.bool_], low: I64, high: I64, lasers: 
     by_laser = np.argsort(laser, kind="mergesort")
     firing = np.cumsum(begins.astype(np.int64))
     clock = np.zeros(firing[-1] + 1, np.int64)
+    before = np.empty_like(delay)
     for round_ in range(_ROUNDS):
+        before[:] = delay
         # The clock of a firing: where its intervals meet, or between.
         start = 0
         while start < n:
@@ -215,6 +218,8 @@ def _delays(laser: I64, begins: NDArray[np.bool_], low: I64, high: I64, lasers: 
                 own = by_laser[start:end]
                 delay[k] = _agreed(low[own] - clock[firing[own]], high[own] - clock[firing[own]])
             start = end
+        if round_ > 0 and (delay == before).all():  # and so in all rounds to come
+            break
     return delay
 
 
@@ -263,7 +268,7 @@ def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked
         if size > _NEAR * tried[0][0]:
             break
         for way in (early, _fitted(early, more, low[fitted], high[fitted])):  # early times are rounded least
-            coded = encode_times(fired, low, high, way)
+            coded = encode_times(fired, low, high, way, ENDLESS if best is None else len(best[1]))
             if coded is not None and (best is None or len(coded) < len(best[1])):
                 best = way, coded
     return best
@@ -289,16 +294,15 @@ def _of(fired: Fired, way: Clocked) -> NDArray[np.bool_]:
     )
 
 
-def encode_times(fired: Fired, low: I64, high: I64, way: Clocked) -> bytes | None:
-    """Encode times; None where that cannot be."""
-    out = np.empty(12 * len(low) + 4096, np.uint8)
+def encode_times(fired: Fired, low: I64, high: I64, way: Clocked, to_beat: int = ENDLESS) -> bytes | None:
+    """Encode times; None where that cannot be, or takes more than the bytes ``to_beat``."""
+    out = room_for(12 * len(low) + 4096, to_beat)
     state = start_encoder()
     clocks = np.zeros(len(low), np.int64)
     _code(True, state, out, fired.laser, way.delay, _of(fired, way), low, high, clocks, *_models())
     told = clocks + way.delay[fired.laser]
-    if state[3] != 0 or ((told < low) | (told > high)).any():
-        return None
-    return out[: int(finish_encoder(state, out))].tobytes()
+    written = -1 if state[3] != 0 or ((told < low) | (told > high)).any() else int(finish_encoder(state, out))
+    return out[:written].tobytes() if written >= 0 else None
 
 
 def decode_times(fired: Fired, way: Clocked, data: bytes) -> tuple[I64, bool]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import ENDLESS
 from salpcc.stages.entropy.number_forms import (
     BITS,
     DECIMAL,
@@ -25,15 +26,17 @@ from salpcc.stages.residual_code.message.records import BLENDED, LEARNED, Values
 _BLENDED = struct.Struct("<BBBI")  # what lies around, form, scale, length
 
 
-def encode_picture(values: Values, points: Points, learned: LearnedField | None) -> bytes | None:
-    """A field that looks like a picture; None where its values are no whole numbers, or too large."""
+def encode_picture(
+    values: Values, points: Points, learned: LearnedField | None, to_beat: int
+) -> bytes | None:
+    """A field that looks like a picture; None where its values are no whole numbers, or too large, or take more than ``to_beat`` bytes."""
     ways = [ROWS] * (points.width > 1) + [FIRED] * points.on_lattice or [LISTED]
     ways += [way + GUIDED for way in ways]
     if (
         learned is not None and points.width > 1 and values[points.void].any()
     ):  # light is seen without returns, too
         ways.append(SKY)
-    return _encode_as(ways, values, points, learned)
+    return _encode_as(ways, values, points, learned, to_beat)
 
 
 def encode_picture_like(
@@ -43,7 +46,9 @@ def encode_picture_like(
     return _encode_as([_BLENDED.unpack_from(record, 1)[0]], values, points, learned)
 
 
-def _encode_as(ways: list[int], values: Values, points: Points, learned: LearnedField | None) -> bytes | None:
+def _encode_as(
+    ways: list[int], values: Values, points: Points, learned: LearnedField | None, to_beat: int = ENDLESS
+) -> bytes | None:
     """The same by the best of these neighbourhoods."""
     if values.dtype.kind != "f":
         form, scale, integers = BITS, 0, values.astype(np.int64)
@@ -54,14 +59,18 @@ def _encode_as(ways: list[int], values: Values, points: Points, learned: Learned
         form, scale, integers = DECIMAL, found, to_scale(values, found)
     if integers.min() <= -MOST or integers.max() >= MOST:
         return None
-    coded = []
+    kind = BLENDED if learned is None else LEARNED
+    best = None
     for what in ways:
         around = points.around(what)
-        if around is not None:
-            stream = encode_blended(integers, around, _walk(learned, what, around, points))
-            kind = BLENDED if learned is None else LEARNED
-            coded.append(bytes([kind]) + _BLENDED.pack(what, form, scale, len(stream)) + stream)
-    return min(coded, key=len, default=None)
+        if around is None:
+            continue
+        stream = encode_blended(integers, around, _walk(learned, what, around, points), to_beat)
+        if stream is not None and (best is None or len(stream) < len(best[1])):
+            best, to_beat = (what, stream), len(stream)
+    if best is None:
+        return None
+    return bytes([kind]) + _BLENDED.pack(best[0], form, scale, len(best[1])) + best[1]
 
 
 def _walk(learned: LearnedField | None, what: int, around: Around, points: Points) -> ValueWalk | None:

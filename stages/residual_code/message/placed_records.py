@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import ENDLESS
 from salpcc.stages.entropy.number_forms import (
     DECIMAL,
     MOST_DIGITS,
@@ -135,15 +136,18 @@ def decode_told_record(data: bytes, at: int, kind: np.dtype[Any], points: Points
     return from_spans(points.told.time, form, power, origin, kind), at
 
 
-def encode_column_record(values: Values, points: Points) -> bytes | None:
-    """A field that follows from the column of an organised cloud; None where it is none."""
+def encode_column_record(values: Values, points: Points, to_beat: int) -> bytes | None:
+    """A field that follows from the column of an organised cloud; None where it is none, or takes more than ``to_beat`` bytes."""
     if not points.of_rows(values):
         return None
     bits = to_bits(values)
     shifts = find_shifts(bits - bits[0], points.void, points.width)
-    kinds = (0, 1) if points.void.any() else (0,)
-    coded = [_encode_columns_as(shifts, void, values, points) for void in kinds]
-    return min((one for one in coded if one is not None), key=len, default=None)
+    best = None
+    for void in (0, 1) if points.void.any() else (0,):
+        coded = _encode_columns_as(shifts, void, values, points, to_beat)
+        if coded is not None and (best is None or len(coded) < len(best)):
+            best, to_beat = coded, len(coded)
+    return best
 
 
 def encode_columns_like(record: bytes, values: Values, points: Points) -> bytes | None:
@@ -156,11 +160,13 @@ def encode_columns_like(record: bytes, values: Values, points: Points) -> bytes 
     return _encode_columns_as(read_small(rows, record[start : start + n_shifts]), void, values, points)
 
 
-def _encode_columns_as(shifts: Integers, void: int, values: Values, points: Points) -> bytes | None:
+def _encode_columns_as(
+    shifts: Integers, void: int, values: Values, points: Points, to_beat: int = ENDLESS
+) -> bytes | None:
     """The same with shifts that are known; None where values differ too much."""
     bits = to_bits(values)
     told = small(shifts)
-    stream = encode_columns(bits - bits[0], flags_of(points, void), points.width, shifts)
+    stream = encode_columns(bits - bits[0], flags_of(points, void), points.width, shifts, to_beat)
     if stream is None:
         return None
     return bytes([COLUMNS]) + _COLUMNS.pack(void, int(bits[0]), len(told), len(stream)) + told + stream

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import ENDLESS
 from salpcc.stages.entropy.columns import PREDICTORS, costs, decode_residuals, encode_residuals
 from salpcc.stages.entropy.number_forms import (
     BITS,
@@ -40,7 +41,8 @@ def encode_plain(values: Values, points: Points, base: Values | None) -> bytes:
         for void in (0, 1) if points.void.any() else (0,):
             flags = flags_of(points, void)[:_SAMPLE]
             for period in points.periods:
-                found = costs(wrapped[:_SAMPLE], flags, period, bits_of)
+                least = ENDLESS if best is None else best[0]
+                found = costs(wrapped[:_SAMPLE], flags, period, bits_of, least)
                 for predictor in range(PREDICTORS):
                     if best is None or found[predictor] < best[0]:
                         way = (form, scale, based, void, predictor, period)
@@ -49,7 +51,7 @@ def encode_plain(values: Values, points: Points, base: Values | None) -> bytes:
     _, way, integers = best
     coded = _as_residuals(integers, points, way, width)
     for period in points.periods:
-        other = _as_symbols(integers, points, (*way[:5], period), width)
+        other = _as_symbols(integers, points, (*way[:5], period), width, len(coded))
         coded = coded if other is None else min(coded, other, key=len)
     return coded
 
@@ -73,13 +75,15 @@ def _as_residuals(integers: Integers, points: Points, way: _Way, width: int) -> 
     return bytes([RESIDUALS]) + _RECORD.pack(*way, len(stream)) + stream
 
 
-def _as_symbols(integers: Integers, points: Points, way: _Way, width: int) -> bytes | None:
-    """None where the integers are no symbols."""
+def _as_symbols(
+    integers: Integers, points: Points, way: _Way, width: int, to_beat: int = ENDLESS
+) -> bytes | None:
+    """None where the integers are no symbols, or take more than the bytes ``to_beat``."""
     symbols = integers & 255 if width == 8 else integers
     if symbols.min() < 0 or symbols.max() > 255:
         return None
-    stream = encode_symbols(symbols, flags_of(points, way[3]), way[5])
-    return bytes([SYMBOLS]) + _RECORD.pack(*way, len(stream)) + stream
+    stream = encode_symbols(symbols, flags_of(points, way[3]), way[5], to_beat)
+    return stream and bytes([SYMBOLS]) + _RECORD.pack(*way, len(stream)) + stream
 
 
 def decode_plain(

@@ -5,31 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from salpcc.stages.entropy.half_octaves import half_octaves
+
 ALONG, GRID, BITS, HALVES = 0, 1, 2, 4  # 3 is another's
 _HALF_BITS = 13  # that float16 values have less than float32
 SPREADS = 64
-_HALF_OCTAVE = 1.4142135623730951
-_ONE, _FRACTION = 1023 << 52, (1 << 52) - 1  # bits of 1.0, and those below the leading one
-_SURELY, _MOST_RATIO = 1e-12, 1e300  # roundings of 64 limits are 1e-14
 FAR = 1e6  # metres
 
 
 @njit(cache=True, error_model="numpy")
 def bucket_of(value: float, unit: float) -> int:
-    """Half-octave bucket of a spread, from 1/8 unit up: how many of the limits, each sqrt(2) times the one before, it is above."""
-    limit = unit * 0.125
-    ratio = value / limit
-    if 1.0 < ratio < _MOST_RATIO:
-        # Its exponent tells, and whether it is above sqrt(2); but for what is so near to a limit that only the limit itself does.
-        bits = np.float64(ratio).view(np.int64)
-        part = np.int64((bits & _FRACTION) | _ONE).view(np.float64)
-        if min(part - 1.0, 2.0 - part, abs(part - _HALF_OCTAVE)) > _SURELY:
-            return int(min(2 * ((bits >> 52) - 1023) + (2 if part > _HALF_OCTAVE else 1), SPREADS - 1))
-    bucket = 0
-    while bucket < SPREADS - 1 and value > limit:
-        limit *= _HALF_OCTAVE
-        bucket += 1
-    return bucket
+    """Half-octave bucket of a spread, from 1/8 unit up."""
+    return half_octaves(value, unit * 0.125, SPREADS - 1)
 
 
 @njit(cache=True, error_model="numpy")

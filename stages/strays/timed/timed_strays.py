@@ -28,7 +28,6 @@ _LARGEST = 1e4  # of any number
 _BETWEEN = 6  # numbers of the motion between sweeps
 _LOOSE = 3e-3  # radians; lasers that are farther off than that turn in another way
 _HOPELESS = 6.0  # bits a point of a timeline
-_NEARLY = 1.1  # of the shortest; then rays tell which lasers are of one sensor
 
 Array = NDArray[np.uint8]
 
@@ -54,7 +53,6 @@ def write_timed(
     if not lines or 8 * len(lines[0][1]) > _HOPELESS * len(points):
         return None
     wide, lasers, scaled = points.astype(np.float64), laser.astype(np.int64), _scaled(time)
-    lines = [(line, told) for line, told in lines if len(told) <= _NEARLY * len(lines[0][1])]
     fits = []
     for line, told in lines if like is not None else []:
         again = fit_again(wide, lasers, line.group, scaled, like)  # type: ignore[arg-type]
