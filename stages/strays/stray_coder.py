@@ -11,12 +11,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.buffer import room_for, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
@@ -94,6 +95,24 @@ class Plan:
         """What a reader knows of the points' lasers and times."""
         return None if self.coded is None else self.coded[2]
 
+    @cached_property
+    def on_rays(self) -> tuple[int, bytes]:
+        """Form and body of the points on rays."""
+        points, form, per, step, layout = self.points, self.form, self.per, self.step, self.layout
+        body = run_encoder(
+            lambda out: write_points(points, layout, form, per, step, out, self.lanes), 4 * len(points)
+        )
+        if form == ALONG and len(body) > _HOPELESS * len(points):  # points that were moved by another layout
+            form = BITS
+            body = run_encoder(lambda out: write_points(points, layout, BITS, per, 0.0, out), 4 * len(points))
+        return form, body
+
+    def take_more_than(self, n_bytes: int) -> bool:
+        """Whether exact points on rays take more bytes."""
+        out = room_for(4 * len(self.points) + 4096, n_bytes)
+        written = write_points(self.points, self.layout, self.form, self.per, self.step, out, self.lanes)
+        return not 0 <= written <= n_bytes
+
     @property
     def share(self) -> float:
         """Of the points, those on the lattice of the sensor."""
@@ -144,7 +163,7 @@ def plan(
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
     if exact and lanes is not None and times is not None:
         timed = write_timed(points, lanes, times, form, per, turning, learned)
-        if timed is not None and len(timed[0]) < len(encode_strays(np.arange(len(points)), rays)):
+        if timed is not None and rays.take_more_than(len(timed[0])):
             return replace(rays, coded=(TIMED, *timed[:2]), turning=timed[2])
     return min(aimed, rays, key=_size) if aimed else rays
 
@@ -226,14 +245,8 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
 
 
 def _on_rays(found: Plan, first: bytes) -> bytes:
-    points, form, per, layout = found.points, found.form, found.per, found.layout
-    body = run_encoder(
-        lambda out: write_points(points, layout, form, per, found.step, out, found.lanes), 4 * len(points)
-    )
-    if form == ALONG and len(body) > _HOPELESS * len(points):  # points that were moved by another layout
-        form = BITS
-        body = run_encoder(lambda out: write_points(points, layout, BITS, per, 0.0, out), 4 * len(points))
-    return _HEAD.pack(len(first), form, *layout, per) + first + body
+    form, body = found.on_rays
+    return _HEAD.pack(len(first), form, *found.layout, found.per) + first + body
 
 
 def decode_strays(

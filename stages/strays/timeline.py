@@ -62,20 +62,20 @@ class Timeline:
 
 
 @njit(cache=True)
-def _next(due: NDArray[np.int64], asked: NDArray[np.int64], floor: int) -> int:
+def _next(due: NDArray[np.int64], seen: int, asked: NDArray[np.int64], floor: int) -> int:
     """The laser that is due first of those that were not asked; the lower number first."""
     best = -1
-    for k in range(len(due)):
+    for k in range(seen):
         if due[k] != _NEVER and asked[k] != floor and (best < 0 or due[k] < due[best]):
             best = k
     return best
 
 
 @njit(cache=True)
-def _skips(due: NDArray[np.int64], laser: int) -> int:
+def _skips(due: NDArray[np.int64], seen: int, laser: int) -> int:
     """Lasers that are due before a laser."""
     skips = 0
-    for k in range(len(due)):
+    for k in range(seen):
         if due[k] < due[laser] or (due[k] == due[laser] and k < laser):
             skips += 1
     return skips
@@ -91,6 +91,7 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
     steady = np.zeros(LASERS, np.int64)
     skipped = np.empty(LASERS, np.int64)
     now, odd, before, total = np.int64(0), np.int64(0), np.int64(0), 0
+    seen = 0  # above the highest laser that came; no other is due
     n = len(laser)
     for i in range(n):
         k = np.int64(laser[i])
@@ -98,7 +99,7 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
         if writing:
             way = np.int64(
                 due[k] == _NEVER
-                or _skips(due, k) > _MOST_SKIPPED
+                or _skips(due, seen, k) > _MOST_SKIPPED
                 or abs(time[i] - due[k]) > cycle[group[k]] // 2
             )
         way = code_mixed_bit(writing, state, data, of_way, odd, of_way, odd, way)
@@ -119,14 +120,14 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
                 writing, state, data, of_off, 2 * (_STEADY + 1), of_off, 2 * (_STEADY + 1), off
             )
             g = group[k]
-            for other in range(LASERS):  # those of its group that were due long ago
+            for other in range(seen):  # those of its group that were due long ago
                 if due[other] != _NEVER and group[other] == g and due[other] < now - cycle[g] // 2:
                     due[other] += (now - cycle[g] // 2 - due[other] + cycle[g] - 1) // cycle[g] * cycle[g]
             steady[g] = 0
         else:
             found, n_skipped = -1, 0
             while True:
-                found = _next(due, asked, i)
+                found = _next(due, seen, asked, i)
                 if found < 0 or total > 64 * (n + 64):
                     state[3] = 1
                     return
@@ -152,7 +153,7 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
                     due[other] += cycle[group[other]]
                     missed[other] = missed[other] << 1 | 1
             if off != 0:
-                for other in range(LASERS):
+                for other in range(seen):
                     if due[other] != _NEVER and group[other] == g:
                         due[other] += off
                 steady[g] = 0
@@ -162,6 +163,7 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
             return
         if not writing:
             laser[i], time[i] = k, now
+        seen = max(seen, k + 1)
         due[k] = now + cycle[g]
         missed[k] = missed[k] << 1
         asked[k] = -1

@@ -34,6 +34,7 @@ _SAME = (0.3, 2.0, 1e9)  # of the ticks from firing to firing; the last: only la
 _TRIED, _FITTED, _FINALISTS = 1 << 13, 1 << 15, 2  # points, ways
 _NEAR = 1.1  # of the shortest trial; others are no finalists
 _HOPELESS = 1.5  # of the bits a point that are to be beaten, in a trial
+_COUNTED = 8  # times as far apart as there are
 _STEPS = 6  # of the clock from firing to firing that are remembered
 
 I64 = NDArray[np.int64]
@@ -224,9 +225,27 @@ def _delays(laser: I64, begins: NDArray[np.bool_], low: I64, high: I64, lasers: 
 
 
 @njit(cache=True)
+def _sorted(values: I64) -> I64:
+    """The same numbers ``(N,)`` in their order: most often they are so near to one another that they can be counted."""
+    low = values.min()
+    apart = values.max() - low
+    if not 0 <= apart < _COUNTED * len(values):
+        return np.sort(values)
+    counts = np.zeros(apart + 1, np.int64)
+    for value in values:
+        counts[value - low] += 1
+    found, at = np.empty_like(values), 0
+    for k in range(len(counts)):
+        for _ in range(counts[k]):
+            found[at] = low + k
+            at += 1
+    return found
+
+
+@njit(cache=True)
 def _agreed(low: I64, high: I64) -> int:
     """The number that most of the intervals hold, the middle of where they do."""
-    starts, ends = np.sort(low), np.sort(high)
+    starts, ends = _sorted(low), _sorted(high)
     best, depth, at, i, j = 0, 0, starts[0], 0, 0
     until = ends[0]
     while i < len(starts):
