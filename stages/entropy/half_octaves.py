@@ -12,7 +12,7 @@ _SURELY, _MOST_RATIO = 1e-12, 1e300  # roundings of 64 limits make 1e-14
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def half_octaves(value: float, limit: float, most: int) -> int:
-    """Return how many of up to ``most`` limits a value is above, each sqrt(2) times the one before, rounded to float64.
+    """Return how many of up to ``most`` limits a value is above, each sqrt(2) times the one before, rounded to float64; ``limit``: the first, not below 0.
 
     >>> [half_octaves(value, 0.25, 47) for value in (0.25, 0.26, 0.36, 0.5, 1e30)]
     [0, 1, 2, 2, 47]

@@ -47,7 +47,7 @@ def encode_symbols(values: Values, void: Flags, period: int, to_beat: int) -> by
             True, start_coder(True, out), nothing_yet(), values.copy(), void, period, *_symbol_models(), out
         )
     )
-    return out[:written].tobytes() if written >= 0 else None
+    return out[:written].tobytes() if 0 <= written <= to_beat else None
 
 
 def decode_symbols(void: Flags, period: int, data: bytes) -> tuple[Values, bool]:

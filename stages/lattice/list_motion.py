@@ -32,7 +32,7 @@ _PADDED = 1 << 15
 _LINE = 0.3
 _ON_LATTICE = 0.003  # metres
 _WORTH_IT = 0.05  # of the points that come onto it
-_ANOTHER = 1e-3  # slope that cones of another sensor are off by; a sensor's own are off by 1e-5, spacings are 3e-3 and more
+_ANOTHER = 1e-3  # slope that cones of another sensor, or of another reference, are off by; a sensor's own are off by 1e-5
 FASTEST = 0.2  # radians a turn; the sensor's own turning would pass for yaw
 
 F64 = NDArray[np.float64]

@@ -51,10 +51,8 @@ def find_timed_motion(
     for reference in REFERENCES:
         s = timed_places(time, reference)[seen]
         on_cones = put_on_cones(wide[few], number[few], s[few], lasers)
-        if on_cones is None:
+        if on_cones is None or not on_cones.are_of(sensor):
             continue
-        if not on_cones.are_of(sensor):
-            return None
         found = lock(on_cones, sensor.ticks_per_turn, sensor.count)
         if found is None:
             continue

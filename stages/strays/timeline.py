@@ -200,7 +200,7 @@ def _cycles(line: Timeline) -> I64 | None:
 
 
 def encode_timeline(line: Timeline, to_beat: int = ENDLESS) -> bytes | None:
-    """Encode lasers and times; None where times do not go round, or take more than the bytes ``to_beat``."""
+    """Encode lasers and times; None where times do not go round, or take many more than the bytes ``to_beat``."""
     cycles = _cycles(line) if len(line.laser) else None
     if cycles is None:
         return None

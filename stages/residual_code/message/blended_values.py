@@ -193,7 +193,7 @@ def encode_blended(
     state = start_encoder()
     _code(True, state, out, values, *around, _models(), _new_room(len(values), len(around[4])), learned)
     written = int(finish_encoder(state, out))
-    return out[:written].tobytes() if written >= 0 else None
+    return out[:written].tobytes() if 0 <= written <= to_beat else None
 
 
 def decode_blended(around: Around, data: bytes, learned: ValueWalk | None = None) -> tuple[I64, bool]:

@@ -96,7 +96,7 @@ def encode_columns(values: I64, void: Flags, width: int, shifts: I64, to_beat: i
     state = start_encoder()
     _code(True, state, out, values, void, width, shifts, _models())
     written = int(finish_encoder(state, out))
-    return out[:written].tobytes() if written >= 0 else None
+    return out[:written].tobytes() if 0 <= written <= to_beat else None
 
 
 def decode_columns(void: Flags, width: int, shifts: I64, data: bytes) -> tuple[I64, bool]:

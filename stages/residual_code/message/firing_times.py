@@ -321,7 +321,7 @@ def encode_times(fired: Fired, low: I64, high: I64, way: Clocked, to_beat: int =
     _code(True, state, out, fired.laser, way.delay, _of(fired, way), low, high, clocks, *_models())
     told = clocks + way.delay[fired.laser]
     written = -1 if state[3] != 0 or ((told < low) | (told > high)).any() else int(finish_encoder(state, out))
-    return out[:written].tobytes() if written >= 0 else None
+    return out[:written].tobytes() if 0 <= written <= to_beat else None
 
 
 def decode_times(fired: Fired, way: Clocked, data: bytes) -> tuple[I64, bool]:

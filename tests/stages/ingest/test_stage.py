@@ -103,3 +103,16 @@ def test_what_was_sought_in_vain_twice_is_sought_no_more(
         project(number, replace(scan, cloud=CLOUD) if logged else scan)
     assert sought == [300, 301]
     assert turns == (sought if logged else [300, 301, 302, 303, 304])
+
+
+def test_no_motion_is_sought_by_what_is_no_return(
+    monkeypatch: pytest.MonkeyPatch, sensor: SensorModel
+) -> None:
+    points = np.random.default_rng(0).normal(0, 9, (900, 3)).astype(np.float32)
+    points[::3], points[1::90] = 0.0, np.nan
+    seen: list[np.ndarray] = []
+    monkeypatch.setattr(sweep_module, "solve_motion", lambda points, _: seen.append(points))
+    stage.Projector(sensor)(0, Scan("000000", points, np.zeros(len(points), np.float32)))
+    (given,) = seen
+    assert len(given) == 590
+    assert given.any(axis=1).all()

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from salpcc.stages.ingest.calibrate.fit_sensor import fit_sensor
+from salpcc.stages.lattice import timed_motion
 from salpcc.stages.lattice.find_lasers import Listed
 from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.list_motion import redo
@@ -131,3 +132,21 @@ def test_any_bytes_end(data: bytes, n: int) -> None:
         bytes(4) + bytes(56) + body,
     ):
         decode_strays(n, 0.0, np.frombuffer(bytearray(head + stream), np.uint8), pair)
+
+
+def test_steps_are_not_sought_where_cones_are_of_another_sensor(
+    sensor: SensorModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    locked: list[int] = []
+
+    def lock(found, ticks, count):  # type: ignore[no-untyped-def]
+        locked.append(ticks)
+        return real(found, ticks, count)
+
+    real = timed_motion.lock
+    monkeypatch.setattr(timed_motion, "lock", lock)
+    points, laser, time = drive(sensor, 1.0, DRIVE)
+    assert find_timed_motion(points, load_sensor("hdl64e"), time, laser) is None
+    assert locked == []
+    assert find_timed_motion(points, sensor, time, laser) is not None
+    assert set(locked) == {sensor.ticks_per_turn}

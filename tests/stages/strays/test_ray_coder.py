@@ -8,6 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.range_coder import start_decoder
+from salpcc.stages.strays.rays.ray_coder import LOOSE, MOVE, NORMAL, code_points, new_models
+from salpcc.stages.strays.rays.ray_forms import BITS, FAR, GRID, HALVES
+from salpcc.stages.strays.rays.ray_stream import move_points
 from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, plan, snap
 from salpcc.stages.strays.stray_values import decode_values, encode_values
 
@@ -124,3 +128,19 @@ def test_values(unit: float, layout: tuple[int, int]) -> None:
     decoded, sound = decode_values(len(values), out[:size].copy())
     assert sound
     assert decoded.tobytes() == values.tobytes()
+
+
+@pytest.mark.parametrize("form", [GRID, BITS, HALVES])
+def test_what_a_form_does_not_hold_is_found_without_a_walk(form: int) -> None:
+    points = street(8, 100).reshape(-1, 3)
+    points[::2] = np.rint(points[::2] * 1000) / 1000 if form == GRID else points[::2].astype(np.float16)
+    points[3], points[5, 1], points[7, 0], points[9, 2] = 0.0, np.nan, np.inf, -0.0
+    _, kinds, lanes = move_points(points, (8, 1), form, 1000, 0.0, 0.0)
+    walked = np.where(kinds == LOOSE, NORMAL, kinds).astype(np.uint8)
+    walked[~(np.abs(points) < FAR).all(axis=1)] = LOOSE
+    nothing = np.zeros(1, np.uint8)
+    code_points(
+        MOVE, points.copy(), walked, lanes, 8, 1, form, 1000.0, 0.0, 0.0, new_models(), start_decoder(nothing), nothing
+    )  # fmt: skip
+    assert (kinds == walked).all()
+    assert (kinds == LOOSE).sum() >= (2 if form == BITS else 300)
