@@ -21,9 +21,9 @@ def half_octaves(value: float, limit: float, most: int) -> int:
     if 1.0 < ratio < _MOST_RATIO:
         # Its exponent tells, and whether its fraction is above sqrt(2); but for what is so near to a limit that only the limit itself does.
         bits = np.float64(ratio).view(np.int64)
-        part = np.int64((bits & _FRACTION) | _ONE).view(np.float64)
+        part = np.float64(np.int64((bits & _FRACTION) | _ONE).view(np.float64))
         if min(part - 1.0, 2.0 - part, abs(part - _HALF_OCTAVE)) > _SURELY:
-            return int(min(2 * ((bits >> 52) - 1023) + (2 if part > _HALF_OCTAVE else 1), most))
+            return min(int(2 * ((bits >> 52) - 1023)) + (2 if part > _HALF_OCTAVE else 1), most)
     found = 0
     while found < most and value > limit:
         limit *= _HALF_OCTAVE

@@ -111,7 +111,7 @@ def sin_cos(x: float) -> tuple[float, float]:
 @lru_cache(maxsize=8)
 def turn_tables(divisions: int) -> tuple[np.ndarray, np.ndarray]:
     """Return sine and cosine of ``2 pi k / divisions`` for every k in 0..divisions - 1, float64, not to be written to: those of 36,000 ticks take longer than most of what is done with them."""
-    return _turn_tables(divisions)  # type: ignore[no-any-return]
+    return _turn_tables(divisions)
 
 
 @njit(cache=True, error_model="numpy")

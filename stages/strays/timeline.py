@@ -163,7 +163,8 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
             return
         if not writing:
             laser[i], time[i] = k, now
-        seen = max(seen, k + 1)
+        if k >= seen:
+            seen = int(k) + 1
         due[k] = now + cycle[g]
         missed[k] = missed[k] << 1
         asked[k] = -1
