@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.segment.features import pixel_features
@@ -56,17 +57,35 @@ def cloud_input(
         n_points: points of the first level.
         rng: as in :func:`~salpcc.stages.segment.sampling.sample`.
     """
-    _, height, width = planes.shape
-    first = (planes[RANGE].reshape(height, -1, fold) > 0).argmax(axis=2)
-    shown = (np.arange(height * width // fold).reshape(first.shape) * fold + first).ravel()
     flat = planes.reshape(len(planes), -1)
     seen = np.flatnonzero(flat[RANGE])
-    stands = np.ascontiguousarray(flat[:3, shown].T)
-    points = np.ascontiguousarray(flat[:3, seen].T)
-    sets = sample(points, stands, n_points, rng, flat[RANGE, shown] > 0)
+    shown, asked = _first_returns(flat[RANGE], fold)
+    sets = sample(_places(flat, seen), _places(flat, shown), n_points, rng, asked)
     taken = flat[:, seen[sets.source]]
     told = np.concatenate([taken[:3], taken[HEIGHT, None].clip(-2, 6) / 2, taken[INTENSITY, None]])
     return np.ascontiguousarray(told.T), sets
+
+
+@njit(cache=True)
+def _first_returns(ranges: F32, fold: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the first pixel with a return, of ``ranges`` ``(pixels fold,)``, in each folded one, and whether it has any."""
+    first, there = np.arange(0, len(ranges), fold), np.zeros(len(ranges) // fold, np.bool_)
+    for i in range(len(there)):
+        for k in range(i * fold, (i + 1) * fold):
+            if ranges[k] > 0:
+                first[i], there[i] = k, True
+                break
+    return first, there
+
+
+@njit(cache=True)
+def _places(flat: F32, pixels: NDArray[np.int64]) -> F32:
+    """Return x, y, z ``(N, 3)`` of some pixels of planes ``(6, H W)``."""
+    out = np.empty((len(pixels), 3), np.float32)
+    for i in range(len(pixels)):
+        for axis in range(3):
+            out[i, axis] = flat[axis, pixels[i]]
+    return out
 
 
 def stack(inputs: Sequence[NetworkInput]) -> tuple[torch.Tensor, PointTensors]:
