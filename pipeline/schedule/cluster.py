@@ -16,6 +16,7 @@ from tornado.ioloop import PeriodicCallback
 
 from salpcc.pipeline.schedule.machine import cores
 from salpcc.schemas.errors import UsageError
+from salpcc.schemas.files import why
 from salpcc.schemas.version import TOOL
 from salpcc.stages.memory import keep_memory
 
@@ -76,7 +77,17 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
         settings["distributed.worker.preload"] = [__name__]
     with (
         dask.config.set(settings),
-        LocalCluster(
+        _local_cluster(count) as cluster,
+        Client(cluster) as client,
+        _kept_at(count, cluster),
+    ):
+        yield client
+
+
+def _local_cluster(count: int) -> LocalCluster:
+    """Start the processes; raises UsageError where the machine has none to give, as without shared memory for their locks."""
+    try:
+        return LocalCluster(
             n_workers=max(count, 1),
             threads_per_worker=1,
             processes=count > 0,
@@ -85,11 +96,16 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
             worker_dashboard_address="127.0.0.1:0",
             worker_class=_Nanny if count else None,
             silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-        _kept_at(count, cluster),
-    ):
-        yield client
+        )
+    except RuntimeError as error:
+        reason: BaseException | None = error
+        while reason is not None and not isinstance(reason, OSError):
+            reason = reason.__cause__ or reason.__context__
+        if not count or reason is None:
+            raise
+        raise UsageError(
+            f"no process can be started for a worker ({why(reason)}; is /dev/shm writable?); --workers 0 goes without"
+        ) from error
 
 
 @contextmanager

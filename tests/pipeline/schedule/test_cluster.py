@@ -1,5 +1,6 @@
 """Many machines: a scheduler and worker processes of their own, on loopback."""
 
+import errno
 import os
 import re
 import subprocess
@@ -16,6 +17,7 @@ import pytest
 
 from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
+from salpcc.pipeline.schedule import cluster as cluster_module
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.store import read_shard
 from salpcc.schemas.config import RunConfig
@@ -165,3 +167,20 @@ def test_only_this_machine_is_listened_to_and_the_dashboard_answers(workers: int
             assert answer.status == 200
         if workers:  # have no pages to draw; a lambda, because workers do not know this file
             assert not any(client.run(lambda: "bokeh" in sys.modules).values())
+
+
+def test_a_machine_without_processes_is_told_of_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Locks of processes lie in /dev/shm, which containers may lack."""
+
+    def no_locks(**_: object) -> None:
+        try:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        except OSError as error:
+            raise RuntimeError("_Nanny failed to start.") from error
+
+    monkeypatch.setattr(cluster_module, "LocalCluster", no_locks)
+    said = r"worker \(Read-only file system; is /dev/shm writable\?\); --workers 0 goes without"
+    with pytest.raises(UsageError, match=said), connect(1, None):
+        pass
+    with pytest.raises(RuntimeError, match="failed to start"), connect(0, None):  # nothing to go without
+        pass
