@@ -31,20 +31,24 @@ _HEAD = 9 + 44
 _MOST = 1 << 20  # bytes before the first GOP that channels are looked for in
 
 
-def passing_log(data: mmap.mmap, path: Path, own: Collection[int]) -> tuple[PassingLog | None, int]:
-    """Return what passes through, None where nothing did, and how many pieces of it are damaged.
+def passing_log(
+    data: mmap.mmap, path: Path, own: Collection[int], listed: int
+) -> tuple[PassingLog | None, int]:
+    """Return what passes through, None where nothing did, and how many pieces of it are damaged or gone.
 
     Args:
         own: ids of the channels that are the archive's own, besides that of its scans.
+        listed: pieces of it that the summary of the archive lists, as far as that can be read.
     """
     channels = _channels(data, path, {1, *own})
     whole = [at for at in _chunks(data) if _messages(data, at, channels) is not None]
     damaged = sum(1 for _ in _chunks(data)) - len(whole)
     if not channels:
-        return None, damaged
+        return None, max(damaged, listed)
     found = (message for at in whole for message in _messages(data, at, channels) or ())
     enclosed, broken = _enclosed(data)
-    return PassingLog(channels.values(), found, enclosed), damaged + broken
+    gone = max(damaged + broken, listed - len(whole) - len(enclosed))
+    return PassingLog(channels.values(), found, enclosed), gone
 
 
 def _enclosed(data: mmap.mmap) -> tuple[list[Enclosed], int]:

@@ -6,6 +6,7 @@ import json
 import re
 import struct
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -13,11 +14,12 @@ from typing import Any
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Metadata
+from mcap.records import AttachmentIndex, ChunkIndex, Metadata, MetadataIndex
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.files import location, mapped, why
+from salpcc.schemas.mcap_chunks import records, stream
 from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
@@ -90,7 +92,9 @@ class Salvage:
                 f"{self.path}: {kind}, and nothing in it is of an archive of salpcc-pipeline "
                 "(`mcap recover` mends a log, `salpcc-pipeline run log` archives it)"
             )
-        self.ended = _DATA_END.search(self._data) is not None
+        end = _DATA_END.search(self._data)
+        self.ended = end is not None
+        self._listed = _listed(self._data[end.end() - 1 :]) if end else Counter()
         self.facts = self._facts(sensor)
         self._index = self._read_index("index.json")
         self._rows = {entry.name: entry for gop in self._index or [] for entry in gop}
@@ -154,11 +158,13 @@ class Salvage:
 
     def side_files(self) -> tuple[list[SideFile], int]:
         """Return the side files that are whole, and how many are not."""
-        return side_files(self._data)
+        found, broken = side_files(self._data)
+        return found, max(broken, self._listed["side"] - len(found))
 
     def passing_log(self) -> tuple[PassingLog | None, int]:
         """Return what passes through, None where nothing did, and how many of its chunks are damaged."""
-        return passing_log(self._data, self.path, self._own.values())
+        listed = self._listed["zstd"] + self._listed["log"]
+        return passing_log(self._data, self.path, self._own.values(), listed)
 
     def _facts(self, sensor: SensorModel | None) -> ArchiveFacts:
         self._version, about = ARCHIVE_VERSION, {}
@@ -268,6 +274,20 @@ class Salvage:
                 after += RECORD_HEAD + struct.unpack("<BQ", head)[1]
                 at = max(at, after)
         return self._data.find(b"index.json", at, at + 64) == at + RECORD_HEAD + 20
+
+
+def _listed(summary: bytes) -> Counter[str]:
+    """Count what a summary lists, as far as it can be read: chunks by compression, the rest by what its names begin with."""
+    found: Counter[str] = Counter()
+    with suppress(*BROKEN):
+        for opcode, _, content in records(summary):
+            if opcode == Opcode.CHUNK_INDEX:
+                found[ChunkIndex.read(stream(content)).compression] += 1
+            elif opcode == Opcode.ATTACHMENT_INDEX:
+                found[AttachmentIndex.read(stream(content)).name.partition(":")[0]] += 1
+            elif opcode == Opcode.METADATA_INDEX:
+                found[MetadataIndex.read(stream(content)).name.partition(":")[0]] += 1
+    return found
 
 
 def _labelled(scan: ScanPayload, labels: bytes) -> ScanPayload:

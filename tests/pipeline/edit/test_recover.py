@@ -244,6 +244,11 @@ def test_other_topics_of_a_log_come_along(whole: Path, bad: Path) -> None:
     came = list(new.passing())
     assert [message.sequence for message in came] == [0, 3, 4]
     assert all(replace(message, at=()) == messages[message.sequence] for message in came)
+    # A chunk that is cut out without a trace is missed in the summary.
+    bad.with_name("new.mcap").unlink()
+    (at, end), *_ = [(start, end) for start, opcode, end in records(data) if start == chunks[1]]
+    found = rescue(bad, data[:at] + data[end:])
+    assert found.notes == ["1 chunks or attachments of the rest of the log are gone"] and found.scans == 5
     for name, left in (
         (b"text/plain", enclosed[1:]),
         (b"archive_version\x01\0\0\x009", [enclosed[0], enclosed[2]]),

@@ -273,6 +273,10 @@ def test_recovery(whole: Path, root: Path, tmp_path: Path) -> None:
     found = recover(bad, tmp_path / "side.mcap")
     assert found.scans == 5 and found.notes == ["1 side files are gone"]
     assert sorted(ArchiveReader(tmp_path / "side.mcap").side) == sorted(reader.side.keys() - {"poses.txt"})
+    named = data.find(b"side:poses.txt")
+    bad.write_bytes(data[: named - 29] + data[data.find(b"side:", at) - 29 :])  # all of its record
+    found = recover(bad, tmp_path / "out.mcap")
+    assert found.scans == 5 and found.notes == ["1 side files are gone"]
     bad.write_bytes(data[: at + 10])  # cut off in one side file: others may have been behind it
     found = recover(bad, tmp_path / "less.mcap")
     assert (
