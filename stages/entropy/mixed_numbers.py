@@ -93,7 +93,8 @@ def _below(x: float, guesses: Guesses, n: int) -> float:
     """Distribution function of the mixture."""
     total = 0.0
     for j in range(n):
-        total += guesses.weight[j] * logistic((x - guesses.mean[j]) * guesses.per[j])
+        if guesses.weight[j] != 0.0:
+            total += guesses.weight[j] * logistic((x - guesses.mean[j]) * guesses.per[j])
     return total
 
 
@@ -224,11 +225,16 @@ def learn_trust(value: int, guesses: Guesses, n: int, trust: F64, which: int) ->
     """Move the trust ``trust[which]`` in each of the ``n`` guesses towards its share in how likely ``value`` was."""
     total = 0.0
     for j in range(n):
+        if guesses.weight[j] == 0.0:
+            guesses.likely[j] = 0.0
+            continue
         at, per = guesses.mean[j], guesses.per[j]
         likely = logistic((value + 0.5 - at) * per) - logistic((value - 0.5 - at) * per) + 1e-7
         guesses.likely[j] = guesses.weight[j] * likely
         total += guesses.likely[j]
     total = 1.0 / total
     for j in range(n):
+        if guesses.weight[j] == 0.0:  # who says nothing is trusted as before
+            continue
         moved = trust[which, j] * (1.0 + _TRUST_RATE * (guesses.likely[j] * total - guesses.weight[j]))
         trust[which, j] = min(max(moved, _LEAST_TRUST), _MOST_TRUST)

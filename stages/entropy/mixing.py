@@ -67,8 +67,9 @@ ODDS = np.array([_ln((k + 0.5) / (_STEPS - k - 0.5)) for k in range(_STEPS)])
 def logistic(x: float) -> float:
     """Logistic function, interpolated in its table; flat beyond 12."""
     z = (min(max(x, -_REACH), _REACH) + _REACH) * _PER_UNIT
-    k = int(z)
-    return _LOGISTIC[k] + (z - k) * (_LOGISTIC[k + 1] - _LOGISTIC[k])
+    k = np.uint64(z)  # no index from the end
+    low = _LOGISTIC[k]
+    return low + (z - k) * (_LOGISTIC[k + np.uint64(1)] - low)
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
