@@ -83,9 +83,13 @@ def segment(
         str,
         typer.Option(
             metavar="WEIGHTS",
-            help="Go on from these weights, in a phase of its own, and end halfway between them and what is learned.",
+            help="Go on from these weights, in phases of its own, and end between them and what is learned.",
         ),
     ] = "",
+    learned: Annotated[
+        float,
+        typer.Option(min=0.0, max=1.0, help="With --start, end this share of the way to what is learned."),
+    ] = 0.5,
     teacher: Annotated[
         str,
         typer.Option(
@@ -132,7 +136,16 @@ def segment(
         return
     phases = GOING_ON if start else PHASES
     recipe = Recipe(
-        width, steps, batch, rate, seed=seed, workers=workers, every=every, phases=phases, start=start
+        width,
+        steps,
+        batch,
+        rate,
+        seed=seed,
+        workers=workers,
+        every=every,
+        phases=phases,
+        start=start,
+        learned=learned,
     )
     if donors == "simulated":
         given = simulated_donors(out / "donors", STDERR.print)

@@ -30,7 +30,6 @@ Log = Callable[[str], None]
 
 _FOLLOW = 0.998  # share of the average that stays at each step
 _WARM_UP = 0.03  # share of the steps
-_NEW = 0.5  # share of what was learned in weights that went on from others
 
 
 class Trainer:
@@ -88,13 +87,16 @@ class Trainer:
     def averaged(self) -> SegmentNetwork:
         """Return a network with the averaged weights.
 
-        Where the training went on from others, the network is halfway between them and what was learned: it keeps
-        what the few new scans do not tell (Wortsman et al., CVPR 2022).
+        Where the training went on from others, the network is between them and what was learned: it keeps what the
+        few new scans do not tell (Wortsman et al., CVPR 2022).
         """
         network = SegmentNetwork(self.network.config)
         state = self.average
         if self.begun is not None:
-            state = {k: v.lerp(state[k], _NEW) if v.is_floating_point() else v for k, v in self.begun.items()}
+            share = self.recipe.learned
+            state = {
+                k: v.lerp(state[k], share) if v.is_floating_point() else v for k, v in self.begun.items()
+            }
         network.load_state_dict(state)
         return network.eval()
 

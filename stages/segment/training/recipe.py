@@ -62,8 +62,8 @@ PHASES = (
     Phase(0.6, SampleConfig(512, 0.35, 0.7, 6, (0.5, 0.25, 0.15), turned=0.0, brightened=0.0), dropped=0.0),
     Phase(),
 )
-# Of weights that know streets already: streets as they are, with more of what is rare set into them.
-GOING_ON = (Phase(samples=SampleConfig(512, 0.3, 0.7, 5, (0.5, 0.6, 0.6), 0.3)),)
+# Of weights that know streets already: with more of what is rare set into them, then streets as they are.
+GOING_ON = (Phase(0.7, SampleConfig(512, 0.3, 0.7, 5, (0.5, 0.6, 0.6), 0.3)), Phase())
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,7 @@ class Recipe:
         every: steps between checkpoints, scores and lines of the log.
         phases: what changes on the way, in order; the last one ends at 1.
         start: weights to go on from, a name or a file; empty: none.
+        learned: how far from ``start`` to what is learned the weights end, as a share of the way.
     """
 
     width: str = "small"
@@ -94,6 +95,7 @@ class Recipe:
     every: int = 250
     phases: tuple[Phase, ...] = PHASES
     start: str = ""
+    learned: float = 0.5
 
     def phase(self, step: int) -> Phase:
         """Return what holds at a step, counted from 0."""

@@ -42,7 +42,7 @@ def test_a_run_drops_the_movable_points_of_06(real_data, tmp_path) -> None:
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)["sequences"]["06"]
     iou = figures["iou"]["groups_without_terrain"]
-    assert iou["movable"] > 0.82 and iou["ground"] > 0.95 and iou["other"] > 0.9
-    assert figures["iou"]["movable_recall"] > 0.9
+    assert iou["movable"] > 0.85 and iou["ground"] > 0.95 and iou["other"] > 0.92
+    assert figures["iou"]["movable_recall"] > 0.89 and figures["iou"]["movable_precision"] > 0.94
     assert figures["points_decoded"] + figures["points_dropped_movable"] == figures["points_in"]
     assert figures["points_dropped_movable"] > 0.02 * figures["points_in"]

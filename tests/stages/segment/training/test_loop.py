@@ -158,11 +158,14 @@ def test_donors_are_simulated_once(tmp_path: Path) -> None:
     assert [ref.path for ref in first] == [ref.path for ref in again] and len(first) == 2 and len(said) == 1
 
 
-def test_going_on_ends_halfway_between_what_was_and_what_is_learned(street: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("share", [0.5, 0.25])
+def test_going_on_ends_between_what_was_and_what_is_learned(
+    street: Path, tmp_path: Path, share: float
+) -> None:
     first = train_segment(
         list_labelled(street), [], tmp_path / "first", replace(RECIPE, steps=2), log=lambda _: None
     )
-    recipe = replace(RECIPE, steps=3, seed=5, start=str(first))
+    recipe = replace(RECIPE, steps=3, seed=5, start=str(first), learned=share)
     second = train_segment(list_labelled(street), [], tmp_path / "second", recipe, log=lambda _: None)
     trainer = Trainer(recipe, list_labelled(street))
     before, after = load_weights(first)[0].state_dict(), load_weights(second)[0].state_dict()
@@ -171,9 +174,8 @@ def test_going_on_ends_halfway_between_what_was_and_what_is_learned(street: Path
     moved = 0
     for name, value in after.items():
         if value.is_floating_point():
-            assert torch.allclose(value, (before[name] + trainer.average[name]) / 2, atol=1e-2, rtol=1e-3), (
-                name
-            )
+            end = before[name] + share * (trainer.average[name] - before[name])
+            assert torch.allclose(value, end, atol=1e-2, rtol=1e-3), name
             moved += not torch.allclose(value, before[name], atol=1e-5)
     assert moved > 10
     with pytest.raises(UsageError, match="another width"):
