@@ -76,7 +76,9 @@ def test_inspect_fits_a_terminal(golden: str, words: list[str]) -> None:
         shown = result.stdout
         assert all(len(line) <= 80 for line in shown.splitlines() if str(path.parent) not in line)
         assert all(word in " ".join(shown.split()) for word in words)
-        assert "where the bits are" in shown and " : 1, " in shown and not set("{}[]") & set(shown)
+        assert "where the bits are" in shown and not set("{}[]") & set(shown)
+        # How wide the points of a log were, its index does not say.
+        assert "bits a point" in shown and (" : 1, " in shown) != golden.startswith("log/")
         groups = "each decodes alone" in shown
         assert groups != bool(options)
 
