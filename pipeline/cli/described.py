@@ -49,9 +49,8 @@ def show_shard(found: dict[str, Any], console: Console) -> None:
 
 
 def _facts(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    from salpcc.stages.evaluate.measures.metrics import (
-        SOURCE_BYTES_PER_POINT,
-    )  # of NumPy, which no help needs
+    # It needs NumPy, which no help does.
+    from salpcc.stages.evaluate.measures.metrics import SOURCE_BYTES_PER_POINT
 
     config, totals = found["config"], found["totals"]
     yield "archive", found["path"]

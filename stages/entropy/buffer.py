@@ -17,6 +17,11 @@ def room_for(most: int, to_beat: int) -> NDArray[np.uint8]:
     return np.empty(min(most, to_beat + _END), np.uint8)
 
 
+def within(out: NDArray[np.uint8], written: int, to_beat: int) -> bytes | None:
+    """Return the bytes that were written to a buffer of :func:`room_for`; None where it was too small (-1), or they are more than ``to_beat``."""
+    return out[:written].tobytes() if 0 <= written <= to_beat else None
+
+
 def run_encoder(
     encode: Callable[[NDArray[np.uint8]], int], values: int, *learning: NDArray[np.generic]
 ) -> bytes:

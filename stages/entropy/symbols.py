@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import room_for
+from salpcc.stages.entropy.buffer import room_for, within
 from salpcc.stages.entropy.columns import Flags, Values, neighbours, nothing_yet
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.walks import code_mixed_tree, failed, finish_coder, start_coder, uncounted
@@ -47,7 +47,7 @@ def encode_symbols(values: Values, void: Flags, period: int, to_beat: int) -> by
             True, start_coder(True, out), nothing_yet(), values.copy(), void, period, *_symbol_models(), out
         )
     )
-    return out[:written].tobytes() if 0 <= written <= to_beat else None
+    return within(out, written, to_beat)
 
 
 def decode_symbols(void: Flags, period: int, data: bytes) -> tuple[Values, bool]:

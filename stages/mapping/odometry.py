@@ -133,7 +133,7 @@ def follow(clouds: Iterable[Thinned], given: F64 | None = None) -> Iterator[Regi
             yield from (Registered(pose, 0.0, True) for _ in waiting)
         else:
             turns = max(cloud.number - before[1].number, 1)
-            found = _place(cloud, pose, steps.guesses(before, (at, cloud)), target, turns)
+            found = _place(cloud, pose, steps.guesses(before[0], at, cloud, turns), target, turns)
             if not found.good:
                 target = LocalMap()
             steps.motion = motion_of(inverse(pose) @ found.pose, turns)
@@ -165,10 +165,8 @@ class _Steps:
     def __init__(self, given: F64 | None, motion: F64) -> None:
         self.given, self.motion = given, motion
 
-    def guesses(self, before: tuple[int, Thinned], after: tuple[int, Thinned]) -> list[F64]:
-        """Return steps from one cloud to another, each given with its place among the given poses."""
-        (here, start), (there, cloud) = before, after
-        turns = max(cloud.number - start.number, 1)
+    def guesses(self, here: int, there: int, cloud: Thinned, turns: int) -> list[F64]:
+        """Return steps to a cloud, ``turns`` after the one before; ``here`` and ``there``: both clouds' places among given poses."""
         own = [] if cloud.motion is None else [step_of(cloud.motion, turns)]
         said = [] if self.given is None else [inverse(self.given[here]) @ self.given[there]]
         return [*own, step_of(self.motion, turns), *said]

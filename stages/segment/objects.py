@@ -216,7 +216,7 @@ def _edges(names: I32, cores: I32, count: int, planes: F32) -> tuple[F64, F64]:
             if core < 0:
                 continue
             gap = _SEAMLESS + _SEAMLESS_BY_RANGE * planes[RANGE, i, j]
-            for beside in ((j - 1) % columns, (j + 1) % columns):
+            for beside in (wrapped(j - 1, columns), wrapped(j + 1, columns)):
                 if cores[i, beside] == core:
                     continue
                 ends[core] += 1

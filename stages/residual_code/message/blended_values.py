@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import ENDLESS, room_for
+from salpcc.stages.entropy.buffer import ENDLESS, room_for, within
 from salpcc.stages.entropy.half_octaves import half_octaves
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
@@ -192,8 +192,7 @@ def encode_blended(
     out = room_for(16 * len(values) + 4096, to_beat)
     state = start_encoder()
     _code(True, state, out, values, *around, _models(), _new_room(len(values), len(around[4])), learned)
-    written = int(finish_encoder(state, out))
-    return out[:written].tobytes() if 0 <= written <= to_beat else None
+    return within(out, int(finish_encoder(state, out)), to_beat)
 
 
 def decode_blended(around: Around, data: bytes, learned: ValueWalk | None = None) -> tuple[I64, bool]:

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import room_for
+from salpcc.stages.entropy.buffer import room_for, within
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
 
@@ -95,8 +95,7 @@ def encode_columns(values: I64, void: Flags, width: int, shifts: I64, to_beat: i
     out = room_for(12 * len(values) + 4096, to_beat)
     state = start_encoder()
     _code(True, state, out, values, void, width, shifts, _models())
-    written = int(finish_encoder(state, out))
-    return out[:written].tobytes() if 0 <= written <= to_beat else None
+    return within(out, int(finish_encoder(state, out)), to_beat)
 
 
 def decode_columns(void: Flags, width: int, shifts: I64, data: bytes) -> tuple[I64, bool]:

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import ENDLESS, room_for
+from salpcc.stages.entropy.buffer import ENDLESS, room_for, within
 from salpcc.stages.entropy.range_coder import (
     finish_encoder,
     new_bits,
@@ -320,8 +320,9 @@ def encode_times(fired: Fired, low: I64, high: I64, way: Clocked, to_beat: int =
     clocks = np.zeros(len(low), np.int64)
     _code(True, state, out, fired.laser, way.delay, _of(fired, way), low, high, clocks, *_models())
     told = clocks + way.delay[fired.laser]
-    written = -1 if state[3] != 0 or ((told < low) | (told > high)).any() else int(finish_encoder(state, out))
-    return out[:written].tobytes() if 0 <= written <= to_beat else None
+    if state[3] != 0 or ((told < low) | (told > high)).any():
+        return None
+    return within(out, int(finish_encoder(state, out)), to_beat)
 
 
 def decode_times(fired: Fired, way: Clocked, data: bytes) -> tuple[I64, bool]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import room_for
 from salpcc.stages.strays.rays.ray_coder import Layout
 from salpcc.stages.strays.rays.ray_forms import ALONG
 from salpcc.stages.strays.rays.ray_stream import move_points, write_points
@@ -18,7 +19,6 @@ _LASERS = (4, 260)  # lags that may be a firing
 _COLUMNS = (260, 6000)  # and those that may be a ring
 _LONGEST = 1 << 15
 _BETTER = 0.98  # a layout that saves less is chance
-_SPARE = 16  # bytes that a stream may need beyond its own
 
 
 def likely_layouts(points: NDArray[np.float32], lanes: bool) -> list[Layout]:
@@ -65,7 +65,7 @@ def find_layout(
         size = write_points(moved, layout, form, per, step, out, some)
         sizes.append(size if size >= 0 else np.inf)
         if size >= 0:  # what takes more than the best so far need not be written to its end
-            out = out[: size + _SPARE]
+            out = room_for(len(out), size)
     best = int(np.argmin(sizes))
     return candidates[best] if sizes[best] < _BETTER * sizes[0] else candidates[0]
 
