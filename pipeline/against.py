@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.plan.plan import missing_root
+from salpcc.pipeline.plan.plan import check_original
 from salpcc.schemas.config import GRID_ACCURACY
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
 from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
@@ -33,10 +33,7 @@ class Originals:
             UsageError: ``root`` is not there or holds none of them, or the archive was not made from files.
         """
         facts = reader.facts
-        if facts.source not in SOURCES:
-            raise UsageError(f"{reader.path}: made from {facts.source}, there are no files to compare with")
-        if not SOURCES[facts.source].there(root):
-            raise UsageError(f"{missing_root(root, facts.source)} Pass its place to --against")
+        check_original(reader.path, facts.source, root)
         self._files = SOURCES[facts.source]
         self.root = root
         self._config = facts.config

@@ -33,6 +33,7 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.frame import FRAMES, Frame
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 _SHOWN = 5  # scans of each end in a notebook
@@ -199,7 +200,7 @@ class Archive(Sequence[Scan]):
     @property
     def names(self) -> list[str]:
         """Names of the scans, in order."""
-        return [self._reader.gops[g][i].name for g, i in self._places]
+        return self._reader.names
 
     @cached_property
     def times(self) -> NDArray[np.int64]:
@@ -258,6 +259,15 @@ class Archive(Sequence[Scan]):
         if not -len(self) <= index < len(self):
             raise IndexError(f"scan {index} of {len(self)}")
         return _detached(self._in_hand.scan(self._reader, *self._places[index]))
+
+    def of_frames(self, frames: tuple[int, int] | None) -> Iterator[Scan]:
+        """Yield the scans of frames ``[first, last)``, or all: a frame's number is the name where that is one, else the place."""
+        if frames is None:
+            yield from self
+            return
+        for place, name in enumerate(self.names):
+            if frames[0] <= frame_number(name, place) < frames[1]:
+                yield self[place]
 
     def __iter__(self) -> Iterator[Scan]:
         gops = range(len(self._reader.gops))

@@ -83,7 +83,7 @@ def decode_scans(
 
 def turn_ns(reader: ArchiveReader) -> int:
     """Nanoseconds of a turn of the sensor: the mean of the archive, by its scans' times and frame numbers, else 0.1 s."""
-    names = [entry.name for gop in reader.gops for entry in gop]
+    names = reader.names
     first, last = reader.span
     turns = frame_number(names[-1], len(names) - 1) - frame_number(names[0], 0) if names else 0
     turn = (last - first) // turns if turns > 0 else 0

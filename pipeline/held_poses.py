@@ -49,6 +49,5 @@ def held_poses(reader: ArchiveReader) -> dict[str, NDArray[np.float64]]:
             poses = None
     if poses is None:
         return {}
-    names = [entry.name for gop in reader.gops for entry in gop]
-    numbers = {name: frame_number(name, place) for place, name in enumerate(names)}
+    numbers = {name: frame_number(name, place) for place, name in enumerate(reader.names)}
     return {name: poses[n] for name, n in numbers.items() if n < len(poses) and np.isfinite(poses[n]).all()}

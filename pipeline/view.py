@@ -25,6 +25,7 @@ from salpcc.pipeline.archive import Archive
 from salpcc.pipeline.decode import Layers
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.pipeline.held_poses import held_poses
+from salpcc.pipeline.plan.plan import select
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import atomic_file, read_at
 from salpcc.schemas.labels import CLASSES, classes_of_labels
@@ -111,22 +112,18 @@ def scans_of(path: Path, layers: Layers, frames: tuple[int, int] | None) -> Iter
         path = path / "map.mcap"
     if not path.exists():
         raise UsageError(f"{path}: not found; name an archive, a log or the folder of a map")
-    first, last = frames or (0, 1 << 62)
     shown = 0
     if is_archive(path):
-        archive = Archive.open(path, layers=layers)
-        for place, name in enumerate(archive.names):
-            if first <= frame_number(name, place) < last:
-                shown += 1
-                yield archive[place]
+        for scan in Archive.open(path, layers=layers).of_frames(frames):
+            shown += 1
+            yield scan
     else:
         names = Bag().sequences(path)
         if len(names) != 1:
             raise UsageError(f"{path}: no archive, log or folder of a map; of several logs name one")
-        for ref in Bag().scans(path, names[0]):
-            if first <= ref.number < last:
-                shown += 1
-                yield Bag().read(ref, with_labels=False)
+        for ref in select(Bag().scans(path, names[0]), frames):
+            shown += 1
+            yield Bag().read(ref, with_labels=False)
     if not shown:
         raise UsageError(f"{path}: no scan lies in these frames")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -22,10 +21,8 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location
 
 if TYPE_CHECKING:
-    from salpcc.pipeline.archive import Archive
     from salpcc.pipeline.decode import Layers
     from salpcc.pipeline.export import Export
-    from salpcc.schemas.scan import Scan
     from salpcc.stages.lattice.frame import Frame
 
 Path_ = Annotated[
@@ -92,7 +89,8 @@ def decode(
     asked = cast("Layers", layers), cast("Frame", frame)
     with Archive.open(archive, threads or cores(), *asked) as opened:
         count = 0
-        for path in export(opened, _selected(opened, frames), out, partial(STDERR.print, soft_wrap=True)):
+        scans = opened.of_frames(parse_frames(frames))
+        for path in export(opened, scans, out, partial(STDERR.print, soft_wrap=True)):
             count += 1
             folder = path.parent
         if not count:
@@ -100,20 +98,6 @@ def decode(
             there = f"it holds {names[0]} to {names[-1]}" if names else "it holds none"
             raise UsageError(f"--frames {frames}: no scan of {archive} lies there; {there}")
         typer.echo(f"{count} file{'s' if count > 1 else ''} in {folder}")
-
-
-def _selected(archive: Archive, frames: str | None) -> Iterator[Scan]:
-    """Scans by frame number: the name where it is a number, else the place."""
-    selection = parse_frames(frames)
-    if selection is None:
-        yield from archive
-        return
-    from salpcc.stages.residual_code.archive.format import frame_number
-
-    first, last = selection
-    for place, name in enumerate(archive.names):
-        if first <= frame_number(name, place) < last:
-            yield archive[place]
 
 
 def verify(

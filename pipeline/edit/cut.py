@@ -245,6 +245,6 @@ def _within(message: LogMessage, window: tuple[int | None, int | None]) -> bool:
 
 
 def _held(reader: ArchiveReader) -> str:
-    names = [entry.name for gop in reader.gops for entry in gop]
+    names = reader.names
     first, last = reader.span
     return f"it holds {names[0]} to {names[-1]}, {(last - first) / 1e9:.1f} s" if names else "it holds none"

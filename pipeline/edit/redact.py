@@ -128,7 +128,7 @@ def redact(
         raise UsageError(
             f"{path}: no classes are stored in it; it can be redacted as a whole, by --frames or by --box"
         )
-    names = [entry.name for gop in reader.gops for entry in gop]
+    names = reader.names
     if names and not any(selection.concerns(name, place) for place, name in enumerate(names)):
         raise UsageError(f"{path}: no scan of it is of these frames; it holds {names[0]} to {names[-1]}")
     placed = _poses(reader, poses) if selection.box else None
@@ -199,7 +199,7 @@ def _told(selection: Selection) -> dict[str, Any]:
 
 def _poses(reader: ArchiveReader, given: Path | None) -> NDArray[np.float64]:
     """The poses of the scans, sensor to map ``(n, 4, 4)``."""
-    names = [entry.name for gop in reader.gops for entry in gop]
+    names = reader.names
     if given is not None:
         try:
             return poses_of(names, read_poses(given), given)

@@ -52,8 +52,7 @@ def _export(found: pa.Table, out: Path, archive: str, path: Path) -> Counts:
     rows = found.filter(pc.equal(found.column("archive"), archive))
     names = set(rows.column("name").to_pylist())
     reader = ArchiveReader(out / archive)
-    held = {entry.name for gop in reader.gops for entry in gop}
-    if gone := sorted(names - held):
+    if gone := sorted(names.difference(reader.names)):
         raise UsageError(
             f"{reader.path}: scan {gone[0]} is in the catalogue, not in the archive; run it again"
         )

@@ -13,7 +13,7 @@ import pyarrow as pa
 from salpcc.pipeline.mapping.localise_tasks import Rival, Stretch, calibrate, register_stretch
 from salpcc.pipeline.mapping.make_map import NO_CLASSES
 from salpcc.pipeline.mapping.map_plan import F64
-from salpcc.pipeline.plan.plan import missing_root
+from salpcc.pipeline.plan.plan import check_original
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.flow import each
 from salpcc.pipeline.schedule.lock import locked
@@ -99,20 +99,17 @@ def _stretches(readers: Sequence[ArchiveReader], request: LocaliseRequest) -> li
     """Cut a sequence into stretches of pairs, one per GOP of its first archive."""
     first = readers[0]
     facts = first.facts
-    if facts.source not in SOURCES:
-        raise UsageError(f"{first.path}: made from {facts.source}, there are no source scans to compare with")
     if request.against.is_file():
         raise UsageError(
             f"{request.against}: no root of data, below which poses.txt lies; scans of a log are localised in maps, by --map"
         )
-    if not request.against.is_dir():
-        raise UsageError(f"{missing_root(request.against, facts.source)} Pass its place to --against")
-    names = [entry.name for gop in first.gops for entry in gop]
+    check_original(first.path, facts.source, request.against)
+    names = first.names
     for reader in readers[1:]:
-        for name, other in zip(names, (e.name for gop in reader.gops for e in gop), strict=False):
+        for name, other in zip(names, reader.names, strict=False):
             if name != other:
                 raise SourceError(f"{reader.path}: scan {other} stands where {first.path} has {name}")
-        if sum(map(len, reader.gops)) != len(names):
+        if len(reader.names) != len(names):
             raise SourceError(f"{reader.path}: not the {len(names)} scans of {first.path}")
     path = request.against / "sequences" / facts.sequence / "poses.txt"
     truth = poses_of(names, read_poses(path), path)

@@ -130,7 +130,7 @@ def _groups(path: Path, request: InMapRequest, frame: Frame, moved_already: bool
     reader = ArchiveReader(path)
     poses = given_poses(request.poses or str(request.maps[0] / "poses.txt"), reader)
     poses[:, :3, 3] -= frame.origin
-    names = [entry.name for gop in reader.gops for entry in gop]
+    names = reader.names
     numbers = [frame_number(name, place) for place, name in enumerate(names)]
     motions = np.zeros((len(names), 6)) if moved_already else motions_of(poses, numbers)
     starts = np.concatenate([poses[:1], poses[:-1]])

@@ -87,7 +87,7 @@ def plan_map(archives: Sequence[Path], poses: Sequence[str]) -> MapPlan:
     origin: F64 | None = None
     seen: dict[tuple[str, str], Path] = {}
     for at, reader in enumerate(readers):
-        names = [entry.name for gop in reader.gops for entry in gop]
+        names = reader.names
         for name in names:
             other = seen.setdefault((reader.facts.sequence, name), reader.path)
             if other is not reader.path:
@@ -138,7 +138,7 @@ def _one_sensor(readers: list[ArchiveReader]) -> None:
     first = readers[0]
     for reader in readers[1:]:
         if reader.facts.sensor.digest != first.facts.sensor.digest:
-            scan = next((entry.name for gop in reader.gops for entry in gop), "(none)")
+            scan = next(iter(reader.names), "(none)")
             raise SourceError(
                 f"{reader.path}: scan {scan} is of sensor {reader.facts.sensor.name}, the scans of {first.path} "
                 f"are of {first.facts.sensor.name} (other calibration); map the archives of one sensor at a time"

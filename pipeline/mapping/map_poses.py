@@ -28,7 +28,7 @@ def given_poses(source: str, reader: ArchiveReader) -> F64:
         SourceError: no such file, none of these, or one that does not cover all scans; scans of several sensors, which poses of
             one would place wrong.
     """
-    names = [entry.name for gop in reader.gops for entry in gop]
+    names = reader.names
     if not names:
         return np.empty((0, 4, 4))
     in_log = any(channel.topic == source for channel in reader.log.values())
@@ -60,7 +60,7 @@ def given_poses(source: str, reader: ArchiveReader) -> F64:
 
 def several_topics(reader: ArchiveReader) -> bool:
     """Tell whether an archive holds clouds of several topics of a log; their names begin with the topic then."""
-    of_topics = {entry.name.rpartition("-")[0] for gop in reader.gops for entry in gop}
+    of_topics = {name.rpartition("-")[0] for name in reader.names}
     return bool(reader.log) and len(of_topics) > 1
 
 

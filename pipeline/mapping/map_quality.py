@@ -19,9 +19,9 @@ from salpcc.pipeline.mapping.map_store import (
     write_blocks,
 )
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
-from salpcc.pipeline.plan.plan import missing_root
+from salpcc.pipeline.plan.plan import check_original
 from salpcc.pipeline.schedule.store import ShardStore
-from salpcc.schemas.errors import SourceError, UsageError
+from salpcc.schemas.errors import SourceError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef, ShardRef, digest_of
 from salpcc.stages.ingest.sources import SOURCES
@@ -67,10 +67,7 @@ def labelled(plan: MapPlan, root: Path) -> list[tuple[ScanRef, ...]]:
     for group in plan.groups:
         if group.archive not in by_archive:
             source = ArchiveReader(group.archive).facts.source
-            if source not in SOURCES:
-                raise UsageError(f"{group.archive}: made from {source}, there are no labels to compare with")
-            if not root.is_dir():
-                raise UsageError(f"{missing_root(root, source)} Pass its place to --against")
+            check_original(group.archive, source, root)
             by_archive[group.archive] = {r.name: r for r in SOURCES[source].scans(root, group.sequence)}
         refs = by_archive[group.archive]
         for name in group.names:

@@ -21,13 +21,9 @@ _OPTIONS = {
 def held_scans(archive: Path) -> list[str]:
     """Names of the scans of an archive; none where there is none, or a damaged one."""
     try:
-        return _names(ArchiveReader(archive))
+        return ArchiveReader(archive).names
     except ArchiveError:
         return []
-
-
-def _names(reader: ArchiveReader) -> list[str]:
-    return [entry.name for gop in reader.gops for entry in gop]
 
 
 def check_replaceable(
@@ -61,7 +57,7 @@ def check_replaceable(
     )
     if "--keep-movable" in options and "--drop-movable" in options:
         options.remove("--drop-movable")  # it follows
-    here, wanted = set(_names(reader)), {ref.name for gop in plan.gops for ref in gop.scans}
+    here, wanted = set(reader.names), {ref.name for gop in plan.gops for ref in gop.scans}
     if options:
         how = f"with another {', '.join(options)}"
     elif facts.source != config.source:

@@ -99,6 +99,18 @@ def missing_root(root: Path, source: str) -> str:
     return f"data root {root} not found. {SOURCES[source].hint}."
 
 
+def check_original(archive: Path | str, source: str, root: Path) -> None:
+    """Refuse to compare an archive with a root that cannot hold what it was made from.
+
+    Raises:
+        UsageError: it was not made from files, or ``root`` is not there.
+    """
+    if source not in SOURCES:
+        raise UsageError(f"{archive}: made from {source}, there are no files to compare with")
+    if not SOURCES[source].there(root):
+        raise UsageError(f"{missing_root(root, source)} Pass its place to --against")
+
+
 def select(refs: list[ScanRef], frames: tuple[int, int] | None) -> list[ScanRef]:
     """Keep the scans whose frame number lies in ``[frames[0], frames[1])``.
 

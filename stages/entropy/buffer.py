@@ -1,4 +1,4 @@
-"""Room for what an encoder writes: nobody knows how much before."""
+"""Room for what an encoder writes, as nobody knows how much before; what a decoder takes, and whether it made sense."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from salpcc.schemas.errors import ArchiveError
 
 _PER_VALUE, _SPARE = 4, 4096  # bytes that are enough, but for values that nobody expects
 _END = 16  # bytes that an encoder may need beyond those that it keeps
@@ -48,3 +50,18 @@ def run_encoder(
         size *= 4
         for model, before in zip(learning, first, strict=True):
             model[...] = before
+
+
+def as_array(stream: bytes) -> NDArray[np.uint8]:
+    """Return a stream as the decoders' kernels take it, writable."""
+    return np.frombuffer(bytearray(stream), np.uint8)
+
+
+def require_sound(*facts: object) -> None:
+    """Go on only if the decoded values are what they may be.
+
+    Raises:
+        ArchiveError: they are not.
+    """
+    if not all(facts):
+        raise ArchiveError("payload does not decode")

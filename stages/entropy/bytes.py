@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import as_array, require_sound
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.walks import code_bit, code_tree, failed, finish_coder, start_coder, uncounted
 
@@ -56,8 +56,7 @@ def decode_bytes(code: bytes, length: int, before: bytearray) -> bytes:
     """
     now = np.zeros(length, np.uint8)
     known = np.frombuffer(bytes(before), np.uint8).copy()
-    data = np.frombuffer(bytearray(code), np.uint8)
-    if _walk(False, start_coder(False, data), now, known, new_bits(258), data) < 0:
-        raise ArchiveError("payload does not decode")
+    data = as_array(code)
+    require_sound(_walk(False, start_coder(False, data), now, known, new_bits(258), data) == 0)
     before[:] = now.tobytes()
     return now.tobytes()

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.buffer import as_array, run_encoder
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import code_mixed_bit, code_raw, failed, finish_coder, start_coder, uncounted
@@ -195,7 +195,7 @@ def decode_residuals(
     void: Flags, period: int, predictor: int, width: int, data: bytes
 ) -> tuple[Values, bool]:
     """Inverse of :func:`encode_residuals`: the values, and whether the data made sense."""
-    raw = np.frombuffer(bytearray(data), np.uint8)
+    raw = as_array(data)
     values = np.zeros(len(void), np.int64)
     state, sizes, models = start_coder(False, raw), np.zeros(len(void), np.int64), _residual_models()
     done = _walk(False, state, sizes, nothing_yet(), values, void, period, predictor, width, *models, raw)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import room_for, within
+from salpcc.stages.entropy.buffer import as_array, room_for, within
 from salpcc.stages.entropy.columns import Flags, Values, neighbours, nothing_yet
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.walks import code_mixed_tree, failed, finish_coder, start_coder, uncounted
@@ -52,7 +52,7 @@ def encode_symbols(values: Values, void: Flags, period: int, to_beat: int) -> by
 
 def decode_symbols(void: Flags, period: int, data: bytes) -> tuple[Values, bool]:
     """Inverse of :func:`encode_symbols`."""
-    raw = np.frombuffer(bytearray(data), np.uint8)
+    raw = as_array(data)
     values = np.zeros(len(void), np.int64)
     return values, _walk(
         False, start_coder(False, raw), nothing_yet(), values, void, period, *_symbol_models(), raw

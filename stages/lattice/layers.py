@@ -14,9 +14,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.order import azimuth_keys, file_order
 from salpcc.stages.lattice.sensor_model import SensorModel
@@ -67,8 +67,7 @@ def movable_mask(static: Sweep, movable: Sweep, sensor: SensorModel) -> NDArray[
     before[return_places(static)] = np.cumsum(of_movable)[~of_movable]
     before[static.stray_index] = movable.lead
     known = np.concatenate([[0], before, [len(movable.laser)]])
-    if (np.diff(known) < 0).any():
-        raise ArchiveError("payload does not decode")
+    require_sound((np.diff(known) >= 0).all())
     mask = np.ones(len(static) + len(movable), np.bool_)
     listed = np.delete(np.arange(len(mask)), movable.stray_index)
     mask[listed[np.arange(len(static)) + before]] = False

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.buffer import as_array, run_encoder
 from salpcc.stages.entropy.mixing import EVEN, code_learned_bit
 from salpcc.stages.entropy.walks import finish_coder, start_coder
 from salpcc.stages.lattice.sensor_model import SensorModel
@@ -264,7 +264,7 @@ def decode_labels(data: bytes, sweep: Sweep, sensor: SensorModel) -> tuple[Label
     streams = data[at : at + length], data[at + length : -_WORD.size]
     found = []
     for run, of_point, stream in zip(_runs(sweep, sensor), _classes(sweep, form), streams, strict=True):
-        place, coded = np.zeros(len(run[1]), np.int64), np.frombuffer(bytearray(stream), np.uint8)
+        place, coded = np.zeros(len(run[1]), np.int64), as_array(stream)
         sound = not len(place) or _walk(False, *run, of_point, of_label, place, _bits(n), coded) == 0
         if not sound or place.max(initial=-1) >= n:
             raise ArchiveError("labels do not decode")

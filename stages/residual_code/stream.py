@@ -6,11 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from salpcc.schemas.errors import ArchiveError
-
 Encoding = TypeVar("Encoding")  # a scan while it is encoded
 Decoding = TypeVar("Decoding")  # a scan while it is decoded
 
@@ -42,18 +37,3 @@ class Payload:
 
     data: bytes
     sizes: dict[str, int]
-
-
-def as_array(stream: bytes) -> NDArray[np.uint8]:
-    """Return a stream as the decoders' kernels take it, writable."""
-    return np.frombuffer(bytearray(stream), np.uint8)
-
-
-def require_sound(*facts: object) -> None:
-    """Go on only if the decoded values are what they may be.
-
-    Raises:
-        ArchiveError: they are not.
-    """
-    if not all(facts):
-        raise ArchiveError("payload does not decode")

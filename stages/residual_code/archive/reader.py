@@ -75,6 +75,11 @@ class ArchiveReader:
         return "one layer" if kept else "dropped"
 
     @property
+    def names(self) -> list[str]:
+        """Names of the scans, in the order of the archive."""
+        return [entry.name for gop in self.gops for entry in gop]
+
+    @property
     def entries(self) -> list[tuple[ScanEntry, ...]]:
         """The entries of the scans by GOP, both layers of a scan together where the archive holds them."""
         return [

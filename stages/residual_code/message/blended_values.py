@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import ENDLESS, room_for, within
+from salpcc.stages.entropy.buffer import ENDLESS, as_array, room_for, within
 from salpcc.stages.entropy.half_octaves import half_octaves
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
@@ -197,7 +197,7 @@ def encode_blended(
 
 def decode_blended(around: Around, data: bytes, learned: ValueWalk | None = None) -> tuple[I64, bool]:
     """Inverse of :func:`encode_blended`: the values, and whether the data made sense."""
-    raw = np.frombuffer(bytearray(data), np.uint8)
+    raw = as_array(data)
     values, state = np.zeros(len(around[0]), np.int64), start_decoder(raw)
     _code(False, state, raw, values, *around, _models(), _new_room(len(values), len(around[4])), learned)
     return values, bool(state[3] == 0)

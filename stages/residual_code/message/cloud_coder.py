@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layout, LayoutError
 from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.records import unpacked
 from salpcc.stages.strays.timeline import Timeline
 
 _WHOLE, _ROS1, _CHANNEL, _LOOSE = (
@@ -94,15 +96,10 @@ def decode_cloud(
     Raises:
         ArchiveError: the section is damaged.
     """
-    try:
-        flags, *lengths = _SECTION.unpack_from(section)
-    except struct.error as error:
-        raise ArchiveError("payload does not decode") from error
-    n_topic, n_head, n_tail, n_code, n_loose = lengths
-    at = _SECTION.size + n_code + n_loose
+    (flags, n_topic, n_head, n_tail, n_code, n_loose), at = unpacked(_SECTION, section, 0)
+    at += n_code + n_loose
     n_id = _ID.size if flags & _CHANNEL else 0
-    if flags > 15 or n_topic + n_head + n_tail > MAX_ENVELOPE or at > len(section):
-        raise ArchiveError("payload does not decode")
+    require_sound(flags <= 15, n_topic + n_head + n_tail <= MAX_ENVELOPE, at <= len(section))
     code = section[_SECTION.size : _SECTION.size + n_code]
     envelope = decode_bytes(code, _NUMBERS.size + n_topic + n_head + n_tail + n_id, before)
     delay, sequence = _NUMBERS.unpack_from(envelope)
@@ -140,8 +137,7 @@ def decode_cloud(
         else:
             values, at = modes.decode((cloud.topic, field.name), section, at, field.dtype, known, base)
         columns.append(values)
-    if at != len(section):
-        raise ArchiveError("payload does not decode")
+    require_sound(at == len(section))
     return replace(cloud, rest=_rest(layout, columns, len(points)))
 
 

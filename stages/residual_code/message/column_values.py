@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import room_for, within
+from salpcc.stages.entropy.buffer import as_array, room_for, within
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
 
@@ -100,7 +100,7 @@ def encode_columns(values: I64, void: Flags, width: int, shifts: I64, to_beat: i
 
 def decode_columns(void: Flags, width: int, shifts: I64, data: bytes) -> tuple[I64, bool]:
     """Inverse of :func:`encode_columns`: the values, and whether the data made sense."""
-    raw = np.frombuffer(bytearray(data), np.uint8)
+    raw = as_array(data)
     values, state = np.zeros(len(void), np.int64), start_decoder(raw)
     _code(False, state, raw, values, void, width, shifts, _models())
     return values, bool(state[3] == 0)

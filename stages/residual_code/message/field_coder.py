@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.entropy.number_forms import to_bits
 from salpcc.stages.residual_code.message.learned_values import LearnedField
 from salpcc.stages.residual_code.message.multiples import (
@@ -152,8 +152,7 @@ def decode_field(
         ArchiveError: the record is damaged.
     """
     n = len(points.void)
-    if at + 1 + kind.itemsize > len(data):
-        raise ArchiveError("payload does not decode")
+    require_sound(at + 1 + kind.itemsize <= len(data))
     if data[at] == CONSTANT:
         end = at + 1 + kind.itemsize
         return np.full(n, np.frombuffer(data, kind, 1, at + 1)[0]), end

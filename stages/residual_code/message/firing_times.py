@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import ENDLESS, room_for, within
+from salpcc.stages.entropy.buffer import ENDLESS, as_array, room_for, within
 from salpcc.stages.entropy.range_coder import (
     finish_encoder,
     new_bits,
@@ -327,7 +327,7 @@ def encode_times(fired: Fired, low: I64, high: I64, way: Clocked, to_beat: int =
 
 def decode_times(fired: Fired, way: Clocked, data: bytes) -> tuple[I64, bool]:
     """Inverse of :func:`encode_times`: the times ``(N,)`` as whole numbers, and whether the data made sense."""
-    raw = np.frombuffer(bytearray(data), np.uint8)
+    raw = as_array(data)
     state = start_decoder(raw)
     clocks = np.zeros(len(fired.laser), np.int64)
     _code(False, state, raw, fired.laser, way.delay, _of(fired, way), clocks, clocks, clocks, *_models())

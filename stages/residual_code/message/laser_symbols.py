@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import as_array
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.walks import code_mixed_bit
 
@@ -59,7 +60,7 @@ def encode_by_laser(values: I64, laser: I64, lasers: int) -> bytes:
 
 def decode_by_laser(laser: I64, lasers: int, data: bytes) -> tuple[I64, bool]:
     """Inverse of :func:`encode_by_laser`: the values, and whether the data made sense."""
-    raw = np.frombuffer(bytearray(data), np.uint8)
+    raw = as_array(data)
     values, state = np.zeros(len(laser), np.int64), start_decoder(raw)
     _code(False, state, raw, values, laser, lasers, new_bits(16 + 256 * 256))
     return values, bool(state[3] == 0)

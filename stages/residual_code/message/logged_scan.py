@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.cloud import Cloud
-from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.ingest.point_cloud import intensity_of
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
@@ -94,8 +94,7 @@ def decode_logged(
         known = _guided(points_of(points, cloud, sensor, told), cloud)
         name = (cloud.topic, _INTENSITY)
         values, end = modes.decode(name, intensity, 0, np.dtype(np.float32), known)
-        if end != len(intensity):
-            raise ArchiveError("payload does not decode")
+        require_sound(end == len(intensity))
     on, off = source_places(sweep, sensor)
     strays = np.column_stack([sweep.stray_points[:, :3], values[off]])
     return replace(sweep, intensity=values[on], stray_points=strays)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.residual_code.message.records import MULTIPLES, Values, unpacked
 
 _STEP = struct.Struct("<Q")
@@ -48,6 +48,7 @@ def read_step(data: bytes, at: int, kind: np.dtype[Any]) -> int:
         ArchiveError: there is none for values of this type.
     """
     ((step,), at) = unpacked(_STEP, data, at + 1)
-    if kind.kind not in "iu" or not 1 < step <= np.iinfo(kind).max or data[at : at + 1] == bytes([MULTIPLES]):
-        raise ArchiveError("payload does not decode")
+    require_sound(
+        kind.kind in "iu" and 1 < step <= np.iinfo(kind).max and data[at : at + 1] != bytes([MULTIPLES])
+    )
     return int(step)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.entropy.buffer import ENDLESS
+from salpcc.stages.entropy.buffer import ENDLESS, require_sound
 from salpcc.stages.entropy.number_forms import (
     BITS,
     DECIMAL,
@@ -95,6 +95,5 @@ def decode_picture(
     integers, sound = decode_blended(around, data[at : at + length], walk)
     if learned is not None:
         learned.settle(what)
-    if not sound:
-        raise ArchiveError("payload does not decode")
+    require_sound(sound)
     return from_scale(integers, scale, kind) if form == DECIMAL else from_bits(integers, kind), at + length

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.entropy.buffer import ENDLESS
+from salpcc.stages.entropy.buffer import ENDLESS, require_sound
 from salpcc.stages.entropy.number_forms import (
     DECIMAL,
     MOST_DIGITS,
@@ -60,8 +60,7 @@ def decode_laser_record(data: bytes, at: int, kind: np.dtype[Any], points: Point
     if points.fired is None or at + length > len(data):
         raise ArchiveError("payload does not decode")
     symbols, sound = decode_by_laser(points.fired.laser, points.fired.lasers, data[at : at + length])
-    if not sound:
-        raise ArchiveError("payload does not decode")
+    require_sound(sound)
     return from_bits(symbols, kind), at + length
 
 
@@ -113,8 +112,7 @@ def decode_times_record(data: bytes, at: int, kind: np.dtype[Any], points: Point
     numbers, sound = decode_times(
         points.fired, Clocked(bool(shifted), apart, delay), data[at + n_delays : end]
     )
-    if not sound:
-        raise ArchiveError("payload does not decode")
+    require_sound(sound)
     return from_spans(numbers, form, power, origin, kind), end
 
 
@@ -177,10 +175,8 @@ def decode_column_record(data: bytes, at: int, kind: np.dtype[Any], points: Poin
     (void, origin, n_shifts, length), at = unpacked(_COLUMNS, data, at)
     end = at + n_shifts + length
     n = len(points.void)
-    if points.width < 2 or n % points.width or void > 1 or end > len(data):
-        raise ArchiveError("payload does not decode")
+    require_sound(points.width >= 2 and n % points.width == 0, void <= 1, end <= len(data))
     shifts = read_small(n // points.width, data[at : at + n_shifts])
     integers, sound = decode_columns(flags_of(points, void), points.width, shifts, data[at + n_shifts : end])
-    if not sound:
-        raise ArchiveError("payload does not decode")
+    require_sound(sound)
     return from_bits(integers + origin, kind), end

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.entropy.buffer import ENDLESS
+from salpcc.stages.entropy.buffer import ENDLESS, require_sound
 from salpcc.stages.entropy.columns import PREDICTORS, costs, decode_residuals, encode_residuals
 from salpcc.stages.entropy.number_forms import (
     BITS,
@@ -90,8 +89,7 @@ def decode_plain(
     data: bytes, at: int, kind: np.dtype[Any], points: Points, base: Values | None
 ) -> tuple[Values, int]:
     """Inverse of :func:`encode_plain`: the values, and where the record at ``at`` ends."""
-    if at + 1 + _RECORD.size > len(data):
-        raise ArchiveError("payload does not decode")
+    require_sound(at + 1 + _RECORD.size <= len(data))
     form, scale, based, void, predictor, period, length = _RECORD.unpack_from(data, at + 1)
     start = at + 1 + _RECORD.size
     sound = (
@@ -104,8 +102,7 @@ def decode_plain(
         and period in points.periods
         and start + length <= len(data)
     )
-    if not sound:
-        raise ArchiveError("payload does not decode")
+    require_sound(sound)
     width = 8 * kind.itemsize
     flags, stream = flags_of(points, void), data[start : start + length]
     if data[at] == RESIDUALS:
@@ -113,8 +110,7 @@ def decode_plain(
         integers, sound = decode_residuals(flags, period, predictor, bits_of, stream)
     else:
         integers, sound = decode_symbols(flags, period, stream)
-    if not sound:
-        raise ArchiveError("payload does not decode")
+    require_sound(sound)
     if based:
         integers = integers + _base(kind, form, points, base)
     if form == DECIMAL:

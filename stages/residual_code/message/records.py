@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.buffer import as_array, require_sound, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.message.points import Points
 
@@ -27,16 +26,14 @@ def small(values: Integers) -> bytes:
 
 def read_small(n: int, data: bytes) -> Integers:
     """Inverse of :func:`small`, of ``n`` values."""
-    rows, sound = decode_integers(n, 1, integer_model(1), np.frombuffer(bytearray(data), np.uint8))
-    if not sound:
-        raise ArchiveError("payload does not decode")
+    rows, sound = decode_integers(n, 1, integer_model(1), as_array(data))
+    require_sound(sound)
     return rows[:, 0]
 
 
 def unpacked(what: struct.Struct, data: bytes, at: int) -> tuple[tuple[Any, ...], int]:
     """Return the numbers of a head at ``at``, and where it ends."""
-    if at + what.size > len(data):
-        raise ArchiveError("payload does not decode")
+    require_sound(at + what.size <= len(data))
     return what.unpack_from(data, at), at + what.size
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import COLUMNS, ROWS
-from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.buffer import as_array, require_sound, run_encoder
 from salpcc.stages.entropy.mixing import EVEN
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
 from salpcc.stages.residual_code.paper import grid_levels, grid_mask
@@ -72,22 +71,20 @@ class ContextImages:
         self, mask: bytes, ground: bytes, levels: bytes, returns: int, images: Images
     ) -> NDArray[np.int32]:
         """Decode a frame; inverse of :meth:`encode`."""
-        data = np.frombuffer(bytearray(mask), np.uint8)
+        data = as_array(mask)
         state = start_decoder(data)
         filled = np.zeros((ROWS, COLUMNS), np.bool_)
         grid_mask.code_mask(False, state, data, filled, images.frame > 0, self._old, *self._mask.arrays)
-        if ground or state[3] != 0 or filled.sum() != returns:
-            raise ArchiveError("payload does not decode")
+        require_sound(not ground, state[3] == 0, filled.sum() == returns)
         self._old = filled
-        data = np.frombuffer(bytearray(levels), np.uint8)
+        data = as_array(levels)
         state = start_decoder(data)
         level = np.zeros((ROWS, COLUMNS), np.int32)
         sound = grid_levels.code_levels(
             False, state, data, level, filled, _inverse(images.frame), _inverse(images.plane), images.spread,
             row_slopes(images.elevation), images.accuracy, *self._levels.arrays,
         )  # fmt: skip
-        if not sound or state[3] != 0:
-            raise ArchiveError("payload does not decode")
+        require_sound(sound, state[3] == 0)
         return level
 
 

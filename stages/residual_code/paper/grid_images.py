@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import COLUMNS, ROWS
+from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.residual_code.paper.grid_context import ContextImages
 from salpcc.stages.residual_code.paper.grid_residuals import (
     from_residuals,
@@ -56,20 +56,17 @@ class ByteImages:
     ) -> NDArray[np.int32]:
         """Decode a frame; see :class:`ImageCoder`."""
         filled = _bits(self.coder.decode(mask, _CELLS // 8), _CELLS).reshape(ROWS, COLUMNS)
-        if filled.sum() != returns:
-            raise ArchiveError("payload does not decode")
+        require_sound(filled.sum() == returns)
         on_ground = np.zeros(filled.shape, np.bool_)
         on_ground[filled] = _bits(self.coder.decode(ground, -(-returns // 8)), returns)
         end = _LENGTH + int.from_bytes(levels[:_LENGTH], "little")
         symbols = self.coder.decode(levels[_LENGTH:end], returns)
         ordered, sound = from_symbols(symbols, levels[end:])
-        if not sound:
-            raise ArchiveError("payload does not decode")
+        require_sound(sound)
         values = np.empty_like(ordered)
         values[ground_first(on_ground[filled])] = ordered
         level, sound = from_residuals(values, filled, on_ground, images.plane, images.frame)
-        if not sound:
-            raise ArchiveError("payload does not decode")
+        require_sound(sound)
         return level
 
 

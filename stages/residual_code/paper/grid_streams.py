@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.grid import COLUMNS, ROWS, GridPrediction, GridSweep
-from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.buffer import as_array, require_sound, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.ground_fit.grid_planes import PLANE_LIMIT, ground_of, predict_ground
@@ -23,7 +23,7 @@ from salpcc.stages.residual_code.paper import intensity_coder
 from salpcc.stages.residual_code.paper.grid_header import CLASSES, ELEVATION, FLOAT_INTENSITY, GridHeader
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.paper.image_coder import Images
-from salpcc.stages.residual_code.stream import Stream, as_array, require_sound
+from salpcc.stages.residual_code.stream import Stream
 from salpcc.stages.strays.stray_coder import decode_floats, encode_floats
 
 _NOTHING = np.zeros((ROWS, COLUMNS), np.int32)

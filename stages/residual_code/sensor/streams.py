@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.buffer import as_array, require_sound, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.lattice.lattice import NO_CORRECTION
 from salpcc.stages.lattice.layers import alone, movable_mask
@@ -25,7 +25,7 @@ from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_code
 from salpcc.stages.residual_code.sensor.correction_coder import FLOAT32, MILLIMETRE
 from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER
 from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding
-from salpcc.stages.residual_code.stream import Stream, as_array, require_sound
+from salpcc.stages.residual_code.stream import Stream
 from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, learned_number
 from salpcc.stages.strays.stray_values import decode_values, encode_values
 

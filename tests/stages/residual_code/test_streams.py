@@ -8,13 +8,14 @@ import pytest
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
+from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.residual_code.sensor import payload, scan_coder
 from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding
 from salpcc.stages.residual_code.sensor.streams import STREAMS
-from salpcc.stages.residual_code.stream import Stream, require_sound
+from salpcc.stages.residual_code.stream import Stream
 
 
 def _encode_number(scan: Encoding) -> bytes:

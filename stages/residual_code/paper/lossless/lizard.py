@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import as_array
 from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
 from salpcc.stages.residual_code.paper.lossless.matches import length_at, longest, new_chains, remember
 
@@ -235,13 +236,13 @@ def _decode(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
 def encode(plain: bytes) -> bytes:
     """Compress; see the contract."""
     out = np.empty(len(plain) + 4 * (len(plain) // _BLOCK + 1) + 64, np.uint8)
-    return out[: _encode(np.frombuffer(bytearray(plain), np.uint8), out)].tobytes()
+    return out[: _encode(as_array(plain), out)].tobytes()
 
 
 def decode(data: bytes, size: int) -> bytes:
     """Expand; inverse of :func:`encode`."""
     out = np.empty(size, np.uint8)
-    done = int(_decode(np.frombuffer(bytearray(data), np.uint8), out))
+    done = int(_decode(as_array(data), out))
     return checked(_TITLE, out[: max(done, 0)].tobytes(), size, done >= 0)
 
 
