@@ -36,7 +36,7 @@ test-rest:
 	$(BIN)/pytest -q tests/test_*.py
 
 bench: $(VENV)/.tools
-	$(BIN)/python -m salpcc.stages.evaluate.bench --efforts fast,default,max --threads 2 --profile-stages $(if $(ROOT),--root $(ROOT))
+	$(BIN)/python -m salpcc.stages.evaluate.studies.bench --efforts fast,default,max --threads 2 --profile-stages $(if $(ROOT),--root $(ROOT))
 
 fuzz: $(VENV)/.tools
 	$(BIN)/python tests/fuzz --count 50000

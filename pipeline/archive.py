@@ -25,13 +25,13 @@ from typing import Any, Self, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.decode import LAYERS, Layers, check_layers, decode_groups
+from salpcc.pipeline.decode import DecodeOptions, Layers, check_layers, decode_groups
 from salpcc.pipeline.decoded_groups import DecodedGroups
 from salpcc.schemas.errors import KindError, UsageError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import Movable
-from salpcc.stages.lattice.frame import FRAMES, Frame
+from salpcc.stages.lattice.frame import Frame
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
@@ -91,16 +91,12 @@ class Archive(Sequence[Scan]):
         """
         if not isinstance(threads, int) or threads < 1:
             raise UsageError(f"threads {threads!r}: a whole number from 1 on")
-        if frame not in FRAMES:
-            raise UsageError(f"frame {frame!r}: choose from {', '.join(FRAMES)}")
-        if layers not in LAYERS:
-            raise UsageError(f"layers {layers!r}: choose from {', '.join(LAYERS)}")
+        self._options = DecodeOptions(layers, True, frame)
         self._reader = ArchiveReader(path)
-        self._layers, self._frame = layers, frame
         check_layers(self._reader, layers)
         self._threads = threads
         self._places = [(g, i) for g, gop in enumerate(self._reader.gops) for i in range(len(gop))]
-        self._in_hand = DecodedGroups(1, layers, labels=True, frame=frame)
+        self._in_hand = DecodedGroups(1, self._options)
 
     @classmethod
     def open(
@@ -127,7 +123,7 @@ class Archive(Sequence[Scan]):
         """Show what it is, and its first and last scans, in a notebook."""
         reader = self._reader
         of_layers = {"all": reader.entries, "static": reader.gops, "movable": reader.movable_gops}
-        entries = [entry for gop in of_layers[self._layers] for entry in gop]
+        entries = [entry for gop in of_layers[self._options.layers] for entry in gop]
         few = [*entries[:_SHOWN], None, *entries[-_SHOWN:]] if len(entries) > 2 * _SHOWN else entries
         rows = "".join(
             f"<tr><td>{escape(entry.name)}</td><td>{entry.kept:,}</td></tr>"
@@ -271,5 +267,5 @@ class Archive(Sequence[Scan]):
 
     def __iter__(self) -> Iterator[Scan]:
         gops = range(len(self._reader.gops))
-        for scans in decode_groups(self._reader, gops, self._threads, self._layers, True, self._frame):
+        for scans in decode_groups(self._reader, gops, self._threads, self._options):
             yield from map(_detached, scans)

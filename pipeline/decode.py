@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Literal, get_args
 
@@ -13,7 +13,7 @@ from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.sources.velodyne_bin import NOMINAL_PERIOD_NS
-from salpcc.stages.lattice.frame import Frame
+from salpcc.stages.lattice.frame import FRAMES, Frame
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import ScanPayload, frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
@@ -27,6 +27,33 @@ Layers = Literal["all", "static", "movable"]
 LAYERS: tuple[str, ...] = get_args(Layers)
 
 _FASTEST, _SLOWEST = 10**7, 10**9  # nanoseconds of a turn that can be
+
+
+@dataclass(frozen=True)
+class DecodeOptions:
+    """What of scans is decoded, and how it is given.
+
+    Attributes:
+        layers: ``all`` is the scans as they were recorded, as far as the archive holds them; ``static`` reads no byte of the
+            movable layer's chunks; ``movable`` is that alone.
+        labels: decode the labels that the archive holds, too.
+        frame: in which the points are given (:mod:`salpcc.stages.lattice.frame`).
+
+    Raises:
+        UsageError: there are no such layers, or no such frame.
+    """
+
+    layers: Layers = "all"
+    labels: bool = False
+    frame: Frame = "recorded"
+
+    def __post_init__(self) -> None:
+        for name, value, known in (("frame", self.frame, FRAMES), ("layers", self.layers, LAYERS)):
+            if value not in known:
+                raise UsageError(f"{name} {value!r}: choose from {', '.join(known)}")
+
+
+PLAIN = DecodeOptions()
 
 
 def check_layers(reader: ArchiveReader, layers: Layers) -> None:
@@ -44,34 +71,22 @@ def check_layers(reader: ArchiveReader, layers: Layers) -> None:
         raise UsageError(f"{reader.path}: has no movable layer; what may move {what}")
 
 
-def decode_scans(
-    reader: ArchiveReader | Salvage,
-    gop: int,
-    layers: Layers = "all",
-    labels: bool = False,
-    frame: Frame = "recorded",
-) -> Iterator[Scan]:
+def decode_scans(reader: ArchiveReader | Salvage, gop: int, options: DecodeOptions = PLAIN) -> Iterator[Scan]:
     """Decode the scans of one GOP, one after the other.
-
-    Args:
-        layers: ``static`` reads no byte of the movable layer's chunks; ``all`` is the scans as they were recorded, as far
-            as the archive holds them.
-        labels: decode the labels that the archive holds, too.
-        frame: in which the points are given (:mod:`salpcc.stages.lattice.frame`).
 
     Raises:
         ArchiveError: a payload is damaged, or the movable layer asked for is gone; the message names the first scan that
             did not come back.
         UsageError: a scan is in no such frame.
     """
-    layered = layers != "static" and reader.movable == "layered"
+    layered = options.layers != "static" and reader.movable == "layered"
     payloads = reader.payloads(gop)
     if layered:
         movable = reader.movable_payloads(gop)
         pairs = zip_longest(payloads, movable[: len(payloads)])
         payloads = [replace(payload, movable=layer) for payload, layer in pairs]
-    turn = 0 if frame == "recorded" or isinstance(reader, Salvage) else turn_ns(reader)
-    scans = decoded_scans(payloads, reader.facts.sensor, layered, layers == "movable", labels, frame, turn)
+    turn = 0 if options.frame == "recorded" or isinstance(reader, Salvage) else turn_ns(reader)
+    scans = decoded_scans(payloads, reader.facts.sensor, layered, options, turn)
     for payload in payloads:
         try:
             yield next(scans)
@@ -94,17 +109,14 @@ def decoded_scans(
     payloads: list[ScanPayload],
     sensor: SensorModel,
     layered: bool,
-    alone: bool = False,
-    labels: bool = False,
-    frame: Frame = "recorded",
+    options: DecodeOptions = PLAIN,
     turn: int = 0,
 ) -> Iterator[Scan]:
     """Decode the payloads of one GOP.
 
     Args:
-        layered: take their movable layers, too; ``alone``: give these only.
-        labels: decode the labels, where there are some.
-        frame, turn: in which the points are given, and the nanoseconds of a turn.
+        layered: they have movable layers, which are taken, too.
+        turn: nanoseconds of a turn, for frames other than the recorded one.
 
     Raises:
         ArchiveError: the next payload is damaged, or lacks its movable layer.
@@ -113,18 +125,18 @@ def decoded_scans(
     state = GopState(sensor)
     sweeps = decode_any((payload.data for payload in payloads), sensor)
     for payload, sweep in zip(payloads, sweeps, strict=False):
-        if labels and isinstance(sweep, Sweep):
+        if options.labels and isinstance(sweep, Sweep):
             sweep = labelled(sweep, payload.labels, sensor)
         if layered:
             if payload.movable is None:
                 raise ArchiveError("its movable layer is gone; --layers static gives what is left")
             assert isinstance(sweep, Sweep)
             moving = decode_scan(payload.movable.data, sensor, state, sweep)
-            if labels:
+            if options.labels:
                 moving = labelled(moving, payload.movable.labels, sensor)
-            scan = layered_scan(sweep, moving, sensor, alone, frame, turn)
+            scan = layered_scan(sweep, moving, sensor, options.layers == "movable", options.frame, turn)
         else:
-            scan = scan_of(sweep, sensor, frame, turn)
+            scan = scan_of(sweep, sensor, options.frame, turn)
         yield replace(scan, name=payload.entry.name, time=payload.time, frame_id=payload.frame_id)
 
 
@@ -132,9 +144,7 @@ def decode_groups(
     reader: ArchiveReader | Salvage,
     gops: Iterable[int],
     threads: int = 1,
-    layers: Layers = "all",
-    labels: bool = False,
-    frame: Frame = "recorded",
+    options: DecodeOptions = PLAIN,
 ) -> Iterator[Iterator[Scan]]:
     """Decode GOPs, one iterator of scans for each; with several threads, as many GOPs at once.
 
@@ -143,13 +153,13 @@ def decode_groups(
     with any number; an iterator raises what :func:`decode_scans` does, after the same scans.
     """
     if threads <= 1:
-        yield from (decode_scans(reader, gop, layers, labels, frame) for gop in gops)
+        yield from (decode_scans(reader, gop, options) for gop in gops)
         return
     ahead: deque[Future[tuple[list[Scan], Exception | None]]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
             for gop in gops:
-                ahead.append(pool.submit(_decoded, reader, gop, layers, labels, frame))
+                ahead.append(pool.submit(_decoded, reader, gop, options))
                 if len(ahead) > threads:
                     yield _given(*ahead.popleft().result())
             while ahead:
@@ -160,11 +170,11 @@ def decode_groups(
 
 
 def _decoded(
-    reader: ArchiveReader | Salvage, gop: int, layers: Layers, labels: bool, frame: Frame
+    reader: ArchiveReader | Salvage, gop: int, options: DecodeOptions
 ) -> tuple[list[Scan], Exception | None]:
     scans: list[Scan] = []
     try:
-        scans.extend(decode_scans(reader, gop, layers, labels, frame))  # keeps those before an error
+        scans.extend(decode_scans(reader, gop, options))  # keeps those before an error
     except Exception as error:  # noqa: BLE001 (whoever asks for the scan gets it)
         return scans, error
     return scans, None

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from threading import Lock
 from typing import Any
 
-from salpcc.pipeline.decode import Layers, decode_scans
+from salpcc.pipeline.decode import PLAIN, DecodeOptions, decode_scans
 from salpcc.schemas.scan import Scan
-from salpcc.stages.lattice.frame import Frame
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
@@ -20,11 +19,9 @@ class DecodedGroups:
     pickled.
     """
 
-    def __init__(
-        self, most: int, layers: Layers = "all", labels: bool = False, frame: Frame = "recorded"
-    ) -> None:
-        """Keep ``most`` groups, of these layers in this frame; ``labels``: with those of their points, where archives hold them."""
-        self.most, self.layers, self.labels, self.frame = most, layers, labels, frame
+    def __init__(self, most: int, options: DecodeOptions = PLAIN) -> None:
+        """Keep ``most`` groups, decoded by these options."""
+        self.most, self.options = most, options
         self.decoded = 0  # groups that were begun, to see whether any was decoded twice
         self._groups: OrderedDict[tuple[str, int], _Group] = OrderedDict()
         self._lock = Lock()
@@ -40,7 +37,7 @@ class DecodedGroups:
         with self._lock:
             group = self._groups.get(key)
             if group is None:
-                decoder = decode_scans(reader, gop, self.layers, self.labels, self.frame)
+                decoder = decode_scans(reader, gop, self.options)
                 group = self._groups[key] = _Group(decoder)
                 self.decoded += 1
             self._groups.move_to_end(key)
@@ -59,7 +56,7 @@ class DecodedGroups:
             self._groups.clear()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"most": self.most, "layers": self.layers, "labels": self.labels, "frame": self.frame}
+        return {"most": self.most, "options": self.options}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(**state)  # type: ignore[misc]

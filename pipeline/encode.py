@@ -11,7 +11,7 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from salpcc.pipeline.checked import check_name, checked
-from salpcc.pipeline.decode import decoded_scans
+from salpcc.pipeline.decode import DecodeOptions, decoded_scans
 from salpcc.pipeline.verify import Verdict, compare
 from salpcc.schemas.config import Coder, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import ArchiveError, KindError, UsageError
@@ -211,7 +211,8 @@ def _decode_again(
     """
     verdict = Verdict("", "", asked_max_error_m=config.max_error)
     layered = config.movable == "layered"
-    for back, scan in zip(decoded_scans(payloads, sensor, layered, labels=True), scans, strict=True):
+    decoded = decoded_scans(payloads, sensor, layered, DecodeOptions(labels=True))
+    for back, scan in zip(decoded, scans, strict=True):
         compare(back, scan, "the scan given", config.coding, verdict, config.movable == "dropped")
     if verdict.problems:
         raise ArchiveError(f"not written, as it would not come back right: {verdict.problems[0]}")

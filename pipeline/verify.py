@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from salpcc.pipeline.against import Originals, bounds, places_in_source
-from salpcc.pipeline.decode import decode_groups
+from salpcc.pipeline.decode import DecodeOptions, decode_groups
 from salpcc.pipeline.edit.redact import check_redacted
 from salpcc.pipeline.plan.logs import compare_log
 from salpcc.pipeline.plan.side_files import compare_side
@@ -80,7 +80,7 @@ def verify(
     except ArchiveError as error:
         verdict.problems.append(str(error))
     coded: Counter[str] = Counter()  # messages of a log, by topic
-    groups = decode_groups(reader, range(len(reader.gops)), threads, labels=True)
+    groups = decode_groups(reader, range(len(reader.gops)), threads, DecodeOptions(labels=True))
     for entries, scans in zip(reader.entries, groups, strict=True):
         try:
             for entry, scan in zip(entries, scans, strict=True):

@@ -2,7 +2,7 @@
 
 A table stands between ``<!-- figures:begin NAME -->`` and ``<!-- figures:end -->``, where NAME is ``summary``, any table
 of the report in OUT (``sequences``, ``times``, ``table1``, ``groups``, ``baselines``, ``bd_rate``, ``table2`` to ``table5``,
-``fig8``, ``map``, ``ablation1`` …), or ``bench``, which ``python -m salpcc.stages.evaluate.bench --json BENCH.json`` measures.
+``fig8``, ``map``, ``ablation1`` …), or ``bench``, which ``python -m salpcc.stages.evaluate.studies.bench --json BENCH.json`` measures.
 A plot's NAME is its title in lower case with ``_`` for spaces (``rate_against_the_promised_error``); it is written
 beside the page. With several OUTs a block comes from the first that has it. Nothing between the markers is ever typed.
 With ``--check`` no file is changed and the exit code is 1 where one differs. Blocks of a source that is not named are left

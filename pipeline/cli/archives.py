@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from rich.console import Console
 
-from salpcc.pipeline.cli.boxes import METAVAR as BOX
-from salpcc.pipeline.cli.boxes import parse_box
+from salpcc.pipeline.cli import options
 from salpcc.pipeline.cli.described import show_archive, show_shard
-from salpcc.pipeline.cli.run_options import PLACE, parse_frames
+from salpcc.pipeline.cli.options import BOX, PLACE, parse_box, parse_frames
 from salpcc.pipeline.cli.summary import layers_in_words
 from salpcc.pipeline.schedule.machine import cores
 from salpcc.pipeline.schedule.progress import STDERR
@@ -25,17 +24,10 @@ if TYPE_CHECKING:
     from salpcc.pipeline.export import Export
     from salpcc.stages.lattice.frame import Frame
 
-Path_ = Annotated[
-    Path,
-    typer.Argument(
-        parser=location, metavar="ARCHIVE", help="An archive, such as OUT/archives/04.mcap, or its URL."
-    ),
-]
 Threads = Annotated[
     int | None,
     typer.Option(min=1, metavar="N", help="Groups of scans to decode at once. [default: one per core]"),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -53,20 +45,15 @@ def register(app: typer.Typer) -> None:
 
 
 def decode(
-    archive: Path_,
+    archive: options.Archive,
     to: Annotated[str, typer.Option(metavar="FORMAT", help="What to write: kitti, mcap, bag, ply or laz.")],
     out: Annotated[Path, typer.Option(parser=location, metavar=PLACE, help="The files are written here.")],
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Take frames A to B - 1 only.")] = None,
+    frames: options.Frames = None,
     crs: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="The coordinate system to state in LAZ, such as EPSG:25832."),
     ] = None,
-    layers: Annotated[
-        str,
-        typer.Option(
-            metavar="LAYERS", help="Which layers: all, static, or movable; static reads no byte of the other."
-        ),
-    ] = "all",
+    layers: options.Layers = "all",
     frame: Annotated[
         str,
         typer.Option(
@@ -101,7 +88,7 @@ def decode(
 
 
 def verify(
-    archive: Path_,
+    archive: options.Archive,
     against: Annotated[
         Path | None,
         typer.Option(
@@ -118,7 +105,7 @@ def verify(
             help="Check that the archive is what the redaction of this manifest left.",
         ),
     ] = None,
-    json_: Json = False,
+    json_: options.Json = False,
     threads: Threads = None,
 ) -> None:
     """Check every checksum and decode everything; with --against, compare with the source."""
@@ -161,14 +148,14 @@ def _compared(verdict: dict[str, Any]) -> str:
 
 
 def redact(
-    archive: Path_,
+    archive: options.Archive,
     out: Annotated[
         Path,
         typer.Option(
             parser=location, metavar="FILE|URL", help="The new archive; its manifest lies beside it, .json."
         ),
     ],
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Of frames A to B - 1 only.")] = None,
+    frames: options.Frames = None,
     classes: Annotated[
         str | None, typer.Option(metavar="NAME,NAME", help="Of these classes only, where they are stored.")
     ] = None,
@@ -198,7 +185,7 @@ def redact(
 
 
 def recover(
-    archive: Path_,
+    archive: options.Archive,
     out: Annotated[
         Path,
         typer.Option(parser=location, metavar="FILE|URL", help="The new archive; nothing is overwritten."),
@@ -207,7 +194,7 @@ def recover(
         str | None,
         typer.Option(metavar="NAME|FILE", help="The sensor's model, where the one in the archive is gone."),
     ] = None,
-    json_: Json = False,
+    json_: options.Json = False,
 ) -> None:
     """Save every scan that is whole from a truncated or damaged archive, and name the others."""
     from salpcc.pipeline.edit.recover import recover as recover_archive
@@ -234,7 +221,7 @@ def inspect(
         ),
     ],
     scans: Annotated[bool, typer.Option("--scans", help="Show a row for every scan.")] = False,
-    json_: Json = False,
+    json_: options.Json = False,
 ) -> None:
     """Show what is in an archive or a shard, without decoding it."""
     from salpcc.pipeline.inspect import inspect as describe

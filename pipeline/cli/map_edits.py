@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -13,11 +11,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from salpcc.pipeline.cli.boxes import parse_box
+from salpcc.pipeline.cli.options import Json, command_line, parse_box
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
-
-Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout.")]
 
 _SHOWN = 20  # changes on the screen
 
@@ -100,8 +96,7 @@ def edit(
                 f"--restore {text}: the number of an object, or six numbers x0,y0,z0,x1,y1,z1, the first three the lower ones"
             )
         boxes.append(Box.of(values))
-    command = shlex.join(["salpcc-pipeline", *sys.argv[1:]])
-    summary = put_back(made, Restored(tuple(numbers), tuple(boxes)), command)
+    summary = put_back(made, Restored(tuple(numbers), tuple(boxes)), command_line())
     if json_:
         typer.echo(json.dumps(summary, indent=1))
         return

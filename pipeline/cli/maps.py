@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import json
-import shlex
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
-from pydantic import ValidationError
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from typer.core import TyperGroup
 
 from salpcc.pipeline.cli import map_edits as cli_edit
-from salpcc.pipeline.cli.boxes import METAVAR as BOX
-from salpcc.pipeline.cli.boxes import parse_box
-from salpcc.pipeline.cli.run_options import Scheduler, Workers
+from salpcc.pipeline.cli.options import BOX, Json, Scheduler, Workers, command_line, config_of, parse_box
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.stages.mapping.open3d_library import load_open3d
@@ -27,7 +23,6 @@ from salpcc.stages.mapping.open3d_library import load_open3d
 Archives = Annotated[
     list[Path], typer.Argument(metavar="ARCHIVE", help="The archives of one drive, in order.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON to stdout.")]
 
 
 class _MapGroup(TyperGroup):
@@ -174,24 +169,19 @@ def map_(
     for form in wanted:
         if form not in FORMATS:
             raise UsageError(f"--formats {form}: choose from {', '.join(FORMATS)}")
-    try:
-        config = MapConfig.model_validate(
-            {
-                "voxel": voxel,
-                "max_range": max_range,
-                "labels": labels,
-                "layers": layers,
-                "refine_poses": refine_poses == "auto",
-                "keep_movable": keep_movable,
-                "carve": carve,
-                "fill": fill_ground,
-                "tile": tile,
-                "within": parse_box("--within", within) if within else None,
-            }
-        )
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise UsageError(f"--{str(first['loc'][0]).replace('_', '-')}: {first['msg']}") from error
+    config = config_of(
+        MapConfig,
+        voxel=voxel,
+        max_range=max_range,
+        labels=labels,
+        layers=layers,
+        refine_poses=refine_poses == "auto",
+        keep_movable=keep_movable,
+        carve=carve,
+        fill=fill_ground,
+        tile=tile,
+        within=parse_box("--within", within) if within else None,
+    )
     if tune and not carve:
         raise UsageError("--tune chooses how a map is carved; it goes without --no-carve")
     if rivals != "none" and against is None:
@@ -210,7 +200,7 @@ def map_(
         workers=workers,
         scheduler=scheduler,
         keep_shards=keep_shards,
-        command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
+        command=command_line(),
     )
     summary = make_map(request)
     if json_:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from salpcc.pipeline.cli.archives import Json, Path_
-from salpcc.pipeline.cli.run_options import PLACE, parse_frames
+from salpcc.pipeline.cli import options
+from salpcc.pipeline.cli.options import PLACE, parse_frames
 from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
@@ -61,7 +61,7 @@ def find(
             help="Write the scans that are found to archives: one a sequence in DIR, or one FILE.mcap of all.",
         ),
     ] = None,
-    json_: Json = False,
+    json_: options.Json = False,
 ) -> None:
     """Find scans in the catalogue that runs leave: by what was seen, by motion, size, or any other column."""
     from salpcc.pipeline.find.catalogue import read_catalogue
@@ -110,11 +110,9 @@ def _cell(name: str, value: Any) -> str:
 
 
 def cut(
-    archive: Path_,
+    archive: options.Archive,
     out: New,
-    frames: Annotated[
-        str | None, typer.Option(metavar="A:B", help="Frames A to B - 1, by name or place.")
-    ] = None,
+    frames: options.Frames = None,
     time: Annotated[
         str | None,
         typer.Option(
@@ -169,9 +167,7 @@ def mount(
         typer.Argument(parser=location, metavar="ARCHIVE|DIR", help="An archive, or a folder of archives."),
     ],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="An empty folder in which files appear.")],
-    layers: Annotated[
-        str, typer.Option(metavar="LAYERS", help="Which layers: all, static, or movable.")
-    ] = "all",
+    layers: options.Layers = "all",
 ) -> None:
     """Show archives as the files of SemanticKITTI, decoded when they are read, until Ctrl-C or umount."""
     require("files", "mount")
@@ -186,12 +182,8 @@ def view(
         Path,
         typer.Argument(metavar="ARCHIVE|LOG|MAP", help="An archive, a log, or the folder of a map."),
     ],
-    frames: Annotated[
-        str | None, typer.Option(metavar="A:B", help="Frames A to B - 1, by name or place.")
-    ] = None,
-    layers: Annotated[
-        str, typer.Option(metavar="LAYERS", help="Which layers: all, static, or movable.")
-    ] = "all",
+    frames: options.Frames = None,
+    layers: options.Layers = "all",
     against: Annotated[
         Path | None,
         typer.Option(

@@ -2,39 +2,23 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from salpcc.pipeline.cli.run_options import (
+from salpcc.pipeline.cli import options
+from salpcc.pipeline.cli.options import (
     CODING,
     INPUT,
-    Baselines,
-    Classes,
-    Device,
-    DropMovable,
-    EffortLevel,
-    FromStage,
-    Gop,
-    Json,
-    KeepMovable,
-    KeepShards,
-    MaxError,
-    Out,
-    Overwrite,
-    Scheduler,
-    ToStage,
-    Weights,
-    Workers,
+    command_line,
     config_of,
     parse_errors,
     parse_frames,
     stages_of,
 )
 from salpcc.pipeline.cli.run_result import execute
+from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import atomic, location
@@ -66,12 +50,12 @@ def log(
             rich_help_panel=INPUT,
         ),
     ] = None,
-    out: Out = Path("out"),
-    max_error: MaxError = None,
-    keep_movable: KeepMovable = False,
-    drop_movable: DropMovable = False,
-    classes: Classes = False,
-    weights: Weights = "small",
+    out: options.Out = Path("out"),
+    max_error: options.MaxError = None,
+    keep_movable: options.KeepMovable = False,
+    drop_movable: options.DropMovable = False,
+    classes: options.Classes = False,
+    weights: options.Weights = "small",
     frames: Annotated[
         str | None,
         typer.Option(
@@ -80,8 +64,8 @@ def log(
             rich_help_panel=INPUT,
         ),
     ] = None,
-    effort: EffortLevel = "default",
-    gop: Gop = 8,
+    effort: options.EffortLevel = "default",
+    gop: options.Gop = 8,
     sensor: Annotated[
         str,
         typer.Option(
@@ -90,15 +74,15 @@ def log(
             rich_help_panel=CODING,
         ),
     ] = "auto",
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    from_stage: FromStage = None,
-    to_stage: ToStage = STAGES[-1],
-    keep_shards: KeepShards = False,
-    overwrite: Overwrite = False,
-    baselines: Baselines = "none",
-    device: Device = "cpu",
-    json_: Json = False,
+    workers: options.Workers = None,
+    scheduler: options.Scheduler = None,
+    from_stage: options.FromStage = None,
+    to_stage: options.ToStage = STAGES[-1],
+    keep_shards: options.KeepShards = False,
+    overwrite: options.Overwrite = False,
+    baselines: options.Baselines = "none",
+    device: options.Device = "cpu",
+    json_: options.RunJson = False,
 ) -> None:
     """Encode the point clouds of a log, keep its other topics as they are, measure, and write a report."""
     require("run", "run")
@@ -136,6 +120,7 @@ def log(
         if share is not None:
             STDERR.print(told, soft_wrap=True, style="dim")
     config = config_of(
+        RunConfig,
         source=Bag.name,
         **parse_errors(max_error),
         keep_movable=keep_movable,
@@ -158,6 +143,6 @@ def log(
         workers=workers,
         scheduler=scheduler,
         graph=stages_of(from_stage, to_stage, keep_shards, overwrite),
-        command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
+        command=command_line(),
     )
     execute(request, json_)

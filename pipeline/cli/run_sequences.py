@@ -3,38 +3,20 @@
 from __future__ import annotations
 
 import os
-import shlex
 import shutil
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from salpcc.pipeline.cli.run_options import (
+from salpcc.pipeline.cli import options
+from salpcc.pipeline.cli.options import (
     CODING,
     INPUT,
     KEPT,
     PLACE,
     RUNNING,
-    Baselines,
-    Classes,
-    Device,
-    DropMovable,
-    EffortLevel,
-    FromStage,
-    Gop,
-    Json,
-    KeepMovable,
-    KeepShards,
-    MaxError,
-    Out,
-    Overwrite,
-    Scheduler,
-    Sensor,
-    ToStage,
-    Weights,
-    Workers,
+    command_line,
     config_of,
     parse_errors,
     parse_frames,
@@ -42,7 +24,7 @@ from salpcc.pipeline.cli.run_options import (
 )
 from salpcc.pipeline.cli.run_result import execute
 from salpcc.pipeline.schedule.progress import starting
-from salpcc.schemas.config import Coder, Labels, Profile
+from salpcc.schemas.config import Coder, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import location
@@ -73,7 +55,7 @@ def sequences(
             rich_help_panel=INPUT,
         ),
     ] = None,
-    out: Out = Path("out"),
+    out: options.Out = Path("out"),
     manifest: Annotated[
         Path,
         typer.Option(metavar="FILE", help="It names roots, sequences and splits.", rich_help_panel=INPUT),
@@ -86,10 +68,10 @@ def sequences(
             rich_help_panel=INPUT,
         ),
     ] = "semantickitti",
-    max_error: MaxError = None,
-    keep_movable: KeepMovable = False,
-    drop_movable: DropMovable = False,
-    classes: Classes = False,
+    max_error: options.MaxError = None,
+    keep_movable: options.KeepMovable = False,
+    drop_movable: options.DropMovable = False,
+    classes: options.Classes = False,
     labels: Annotated[
         Labels,
         typer.Option(help="Ask the network what can move, or take .label files.", rich_help_panel=KEPT),
@@ -100,7 +82,7 @@ def sequences(
             help="Keep .label files, and the small text files of the sequence's folder.", rich_help_panel=KEPT
         ),
     ] = True,
-    weights: Weights = "small",
+    weights: options.Weights = "small",
     several_scans: Annotated[
         bool,
         typer.Option(help="Let the scans of a group settle their classes together.", rich_help_panel=KEPT),
@@ -119,7 +101,7 @@ def sequences(
         Profile,
         typer.Option(help="Code on the sensor's lattice, or on the paper's grid.", rich_help_panel=CODING),
     ] = "sensor",
-    effort: EffortLevel = "default",
+    effort: options.EffortLevel = "default",
     coder: Annotated[
         Coder,
         typer.Option(
@@ -129,15 +111,15 @@ def sequences(
             rich_help_panel=CODING,
         ),
     ] = "ppmd",
-    gop: Gop = 8,
-    sensor: Sensor = "hdl64e",
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    from_stage: FromStage = None,
-    to_stage: ToStage = STAGES[-1],
-    keep_shards: KeepShards = False,
-    overwrite: Overwrite = False,
-    baselines: Baselines = "none",
+    gop: options.Gop = 8,
+    sensor: options.Sensor = "hdl64e",
+    workers: options.Workers = None,
+    scheduler: options.Scheduler = None,
+    from_stage: options.FromStage = None,
+    to_stage: options.ToStage = STAGES[-1],
+    keep_shards: options.KeepShards = False,
+    overwrite: options.Overwrite = False,
+    baselines: options.Baselines = "none",
     tmc3: Annotated[
         Path | None,
         typer.Option(
@@ -146,8 +128,8 @@ def sequences(
             rich_help_panel=RUNNING,
         ),
     ] = None,
-    device: Device = "cpu",
-    json_: Json = False,
+    device: options.Device = "cpu",
+    json_: options.RunJson = False,
 ) -> None:
     """Encode sequences of scans, decode them again, measure, and write a report."""
     require("run", "run")
@@ -170,6 +152,7 @@ def sequences(
             f"--root is missing: where are the scans? {SOURCES[source].hint}. Or try it without data: --source simulated"
         )
     config = config_of(
+        RunConfig,
         source=source,
         profile=profile,
         **parse_errors(max_error),
@@ -197,7 +180,7 @@ def sequences(
         workers=workers,
         scheduler=scheduler,
         graph=stages_of(from_stage, to_stage, keep_shards, overwrite),
-        command=shlex.join(["salpcc-pipeline", *sys.argv[1:]]),
+        command=command_line(),
     )
     execute(request, json_)
 

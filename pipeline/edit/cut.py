@@ -20,7 +20,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import ScanPayload, frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
-from salpcc.stages.residual_code.gop import decode_any, encode_gop, encode_movable
+from salpcc.stages.residual_code.gop import decode_any, encode_layers
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.payload import unpack
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
@@ -159,19 +159,16 @@ def _coded_anew(reader: ArchiveReader, payloads: list[ScanPayload], places: list
     if len(sweeps) != len(payloads):
         raise ArchiveError(f"{reader.path}: scan {payloads[len(sweeps)].entry.name} does not decode")
     state = GopState(sensor)
-    pairs = [  # scans without their movable layer are behind those that have it
-        (sweep, decode_scan(payload.movable.data, sensor, state, sweep))
+    pairs = [
+        (sweep, decode_scan(payload.movable.data, sensor, state, sweep) if payload.movable else None)
         for payload, sweep in zip(payloads, sweeps, strict=True)
-        if payload.movable is not None
     ]
     few = [payloads[place] for place in places]
-    static = encode_gop((sweeps[place] for place in places), sensor, effort)
-    result = [_as(old, new) for old, new in zip(few, static, strict=True)]
-    layers = encode_movable([pairs[place] for place in places if place < len(pairs)], sensor, effort)
-    for at, layer in enumerate(layers):
-        moved = few[at].movable
-        assert moved is not None
-        result[at] = replace(result[at], movable=_as(moved, layer))
+    coded = encode_layers([pairs[place] for place in places], sensor, effort)
+    result = [
+        replace(_as(old, static), movable=_as(old.movable, movable) if old.movable and movable else None)
+        for old, (static, movable) in zip(few, coded, strict=True)
+    ]
     _check_same(reader, few, result, sensor)
     return result
 

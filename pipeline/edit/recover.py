@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from salpcc.pipeline.decode import decode_scans, decoded_scans
+from salpcc.pipeline.decode import DecodeOptions, decode_scans, decoded_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import ScanPayload
@@ -117,7 +117,7 @@ def _that_decode(source: Salvage, gop: int) -> list[ScanPayload]:
     payloads = source.payloads(gop)
     good = 0
     try:
-        for _ in decode_scans(source, gop, "static"):
+        for _ in decode_scans(source, gop, DecodeOptions("static")):
             good += 1
     except (ArchiveError, ValueError):
         pass

@@ -31,7 +31,7 @@ from salpcc.stages.mapping.poses import move, poses_of, read_poses
 from salpcc.stages.residual_code.archive.format import ScanEntry, ScanPayload, frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive
-from salpcc.stages.residual_code.gop import decode_gop, encode_movable
+from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.residual_code.label_coder import encode_labels, labelled
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
@@ -268,9 +268,8 @@ def _coded_anew(
         return layers
     effort = str(reader.facts.config.get("effort", "default"))
     coded = []
-    for layer, (_, movable), payload in zip(
-        layers, pairs, encode_movable(pairs, sensor, effort), strict=True
-    ):
+    again = encode_gop((m for _, m in pairs), sensor, effort, statics=(static for static, _ in pairs))
+    for layer, (_, movable), payload in zip(layers, pairs, again, strict=True):
         labels = encode_labels(movable, sensor) if movable.labels is not None else b""
         entry = ScanEntry(
             layer.entry.name, movable.n_points, len(movable), 0, len(movable.stray_index), **payload.sizes,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from salpcc.pipeline.decode import LAYERS, Layers, check_layers
+from salpcc.pipeline.decode import DecodeOptions, Layers, check_layers
 from salpcc.pipeline.decoded_groups import DecodedGroups
 from salpcc.pipeline.files.kitti_files import label_bytes, scan_bytes, times_bytes
 from salpcc.schemas.errors import ArchiveError, UsageError
@@ -49,9 +49,7 @@ class ArchiveTree:
             ArchiveError: one is damaged, or none is there.
             UsageError: there is no such layer, or two archives are of the same sequence.
         """
-        if layers not in LAYERS:
-            raise UsageError(f"layers {layers!r}: choose from {', '.join(LAYERS)}")
-        self.groups = DecodedGroups(gops, layers, labels=True)
+        self.groups = DecodedGroups(gops, DecodeOptions(layers, labels=True))
         self.files: dict[str, TreeFile] = {}
         self.folders: dict[str, dict[str, None]] = {"": {}}
         sequences: dict[str, Path] = {}
@@ -79,7 +77,7 @@ class ArchiveTree:
         of_layers = {"all": reader.entries, "static": reader.gops, "movable": reader.movable_gops}
         columns = int(reader.facts.config.get("columns", 4))
         times: dict[str, int] = {}
-        for gop, entries in enumerate(of_layers[self.groups.layers]):
+        for gop, entries in enumerate(of_layers[self.groups.options.layers]):
             for place, (entry, time) in enumerate(zip(entries, reader.times(gop), strict=False)):
                 times[entry.name] = time
                 scan = partial(self.groups.scan, reader, gop, place)

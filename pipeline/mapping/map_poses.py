@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.pipeline.decode import Layers, decode_scans
+from salpcc.pipeline.decode import DecodeOptions, decode_scans
 from salpcc.schemas.errors import SourceError
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
 from salpcc.stages.mapping.logged_poses import poses_in_log
@@ -66,11 +66,11 @@ def several_topics(reader: ArchiveReader) -> bool:
 
 def _instants(reader: ArchiveReader) -> list[int]:
     """Return when each scan says that it was taken, nanoseconds: the stamp of a message, which was logged later."""
-    layers: Layers = "static" if reader.movable == "layered" else "all"
+    options = DecodeOptions("static" if reader.movable == "layered" else "all")
     first = next(gop for gop, entries in enumerate(reader.gops) if entries)
-    if next(decode_scans(reader, first, layers)).cloud is None:
+    if next(decode_scans(reader, first, options)).cloud is None:
         return [time for gop in range(len(reader.gops)) for time in reader.times(gop)]
-    scans = (scan for gop in range(len(reader.gops)) for scan in decode_scans(reader, gop, layers))
+    scans = (scan for gop in range(len(reader.gops)) for scan in decode_scans(reader, gop, options))
     return [scan.time if scan.cloud is None else scan.cloud.layout.stamp or scan.time for scan in scans]
 
 

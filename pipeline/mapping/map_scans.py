@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from salpcc.pipeline.decode import Layers, decode_scans
+from salpcc.pipeline.decode import DecodeOptions, Layers, decode_scans
 from salpcc.pipeline.mapping.map_plan import Group
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.scan import Scan
@@ -48,14 +48,14 @@ def scans_of(group: Group, config: MapConfig, store: ShardStore) -> Iterator[Sca
     """
     reader, layers, asks = _opened(group, config)
     if not asks:
-        yield from decode_scans(reader, group.gop, layers)
+        yield from decode_scans(reader, group.gop, DecodeOptions(layers))
         return
     digest = digest_of(VERSION, content_of(group, config), group.names, WEIGHTS)
     ref = store.ref(group.sequence, "classes", group.number, digest)
     if store.found(ref) is None:
         _ask(group, reader, store, ref)
     classes, at = np.array(store.read(ref)[0].column("class")), 0
-    for scan in decode_scans(reader, group.gop, layers):
+    for scan in decode_scans(reader, group.gop, DecodeOptions(layers)):
         yield replace(scan, classes=classes[at : at + len(scan)])
         at += len(scan)
 
@@ -63,7 +63,7 @@ def scans_of(group: Group, config: MapConfig, store: ShardStore) -> Iterator[Sca
 def _ask(group: Group, reader: ArchiveReader, store: ShardStore, ref: ShardRef) -> None:
     from salpcc.stages.segment.labelling import joined, network_classes
 
-    scans = list(decode_scans(reader, group.gop, "all"))
+    scans = list(decode_scans(reader, group.gop))
     found = network_classes(scans, joined(scans), [scan.motion for scan in scans], WEIGHTS)
     table = pa.table([pa.array(np.concatenate(found))], schema=_CLASSES)
     store.write(ref, table, {"stage": "classes", "stage_version": VERSION})

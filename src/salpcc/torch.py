@@ -19,7 +19,7 @@ import numpy as np
 from torch import Tensor, from_numpy
 from torch.utils.data import Dataset, IterableDataset, Sampler, get_worker_info
 
-from salpcc.pipeline.decode import Layers, check_layers
+from salpcc.pipeline.decode import DecodeOptions, Layers, check_layers
 from salpcc.pipeline.decoded_groups import DecodedGroups
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.scan import Scan
@@ -67,12 +67,12 @@ class ScanDataset(Dataset[Any]):
             ArchiveError, UsageError: as in :meth:`salpcc.Archive.open`; less than one group.
         """
         _check_groups(groups)
+        self.decoded = DecodedGroups(groups, DecodeOptions(layers))
         paths = [archives] if isinstance(archives, str | Path) else archives
         self.readers = [ArchiveReader(path) for path in paths]
         for reader in self.readers:
             check_layers(reader, layers)
         self.transform = transform
-        self.decoded = DecodedGroups(groups, layers)
         self.groups: list[range] = []  # places of the scans of each group
         self._places: list[tuple[int, int, int]] = []
         for number, reader in enumerate(self.readers):

@@ -7,11 +7,12 @@ ones before.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import chain
+from itertools import chain, repeat, zip_longest
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.grid import GridSweep
+from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.paper_grid import grid_to_scan
@@ -27,33 +28,38 @@ from salpcc.stages.residual_code.sensor.scan_coder import decode_scan, encode_sc
 from salpcc.stages.residual_code.stream import Payload
 
 
-def encode_gop(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str = "default") -> list[Payload]:
-    """Encode the sweeps of one GOP, predictions included."""
-    state = GopState(sensor, effort != "fast")
+def encode_gop(
+    sweeps: Iterable[Sweep],
+    sensor: SensorModel,
+    effort: str = "default",
+    predictions: Iterable[Prediction] | None = None,
+    statics: Iterable[Sweep] | None = None,
+) -> list[Payload]:
+    """Encode the sweeps of one GOP.
+
+    Args:
+        predictions: of each sweep, made here where they are None.
+        statics: the static layer of each sweep, where they are the movable ones.
+    """
     group = list(sweeps)
-    predictions = predict_sweeps(group, sensor, effort)
-    return [encode_scan(s, sensor, p, state) for s, p in zip(group, predictions, strict=True)]
+    state = GopState(sensor, effort != "fast")
+    predicted = predict_sweeps(group, sensor, effort) if predictions is None else predictions
+    beside = repeat(None, len(group)) if statics is None else statics
+    return [
+        encode_scan(sweep, sensor, prediction, state, static)
+        for sweep, prediction, static in zip(group, predicted, beside, strict=True)
+    ]
 
 
 def encode_layers(
-    layers: Iterable[tuple[Sweep, Sweep]], sensor: SensorModel, effort: str = "default"
-) -> list[tuple[Payload, Payload]]:
-    """Encode the static and movable layers of one GOP, predictions included."""
+    layers: Iterable[tuple[Sweep, Sweep | None]], sensor: SensorModel, effort: str = "default"
+) -> list[tuple[Payload, Payload | None]]:
+    """Encode the static and the movable layers of one GOP; those without a movable one are its last."""
     group = list(layers)
+    pairs = [(static, movable) for static, movable in group if movable is not None]
     coded = encode_gop((static for static, _ in group), sensor, effort)
-    return list(zip(coded, encode_movable(group, sensor, effort), strict=True))
-
-
-def encode_movable(
-    layers: list[tuple[Sweep, Sweep]], sensor: SensorModel, effort: str = "default"
-) -> list[Payload]:
-    """Encode the movable layers of one GOP, each with its static one at hand."""
-    state = GopState(sensor, effort != "fast")
-    predictions = predict_sweeps((movable for _, movable in layers), sensor, effort)
-    return [
-        encode_scan(movable, sensor, predicted, state, static)
-        for (static, movable), predicted in zip(layers, predictions, strict=True)
-    ]
+    moving = encode_gop((m for _, m in pairs), sensor, effort, statics=(static for static, _ in pairs))
+    return list(zip_longest(coded, moving))
 
 
 def decode_any(payloads: Iterable[bytes], sensor: SensorModel) -> Iterator[Sweep | GridSweep]:

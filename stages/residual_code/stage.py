@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,11 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.predict.laser_bits import laser_bits
 from salpcc.stages.predict.ring_starts import ring_starts
+from salpcc.stages.residual_code.gop import encode_gop
 from salpcc.stages.residual_code.label_coder import encode_labels
 from salpcc.stages.residual_code.paper.grid_coder import encode_grid
 from salpcc.stages.residual_code.paper.grid_streams import GridState
-from salpcc.stages.residual_code.sensor.gop_state import GopState
-from salpcc.stages.residual_code.sensor.scan_coder import encode_scan, points_off_lattice
+from salpcc.stages.residual_code.sensor.scan_coder import points_off_lattice
 from salpcc.stages.residual_code.stream import Payload
 
 VERSION = 12
@@ -96,21 +96,16 @@ _Coded = tuple[Sweep | GridSweep, Payload, tuple[Sweep, Payload] | None, dict[st
 
 def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator[_Coded]:
     sensor = load_sensor(config.sensor)
-    learns = config.effort != "fast"
-    state, layer_state = GopState(sensor, learns), GopState(sensor, learns)
-    sweeps = table_to_sweeps(task)
-    movable: Sequence[Sweep | None] = table_to_movable(task) or [None] * len(sweeps)
-    guessed: Sequence[Prediction | None] = table_to_movable_predictions(prediction) or [None] * len(sweeps)
-    for sweep, predicted, layer, guess in zip(
-        sweeps, table_to_predictions(prediction), movable, guessed, strict=True
-    ):
-        payload = encode_scan(sweep, sensor, predicted, state)
-        if layer is None or guess is None:
-            yield sweep, payload, None, _of_lasers(sensor, (sweep, payload, predicted))
-        else:
-            moving = encode_scan(layer, sensor, guess, layer_state, sweep)
-            known = _of_lasers(sensor, (sweep, payload, predicted), (layer, moving, guess))
-            yield sweep, payload, (layer, moving), known
+    sweeps, predicted = table_to_sweeps(task), table_to_predictions(prediction)
+    coded = zip(sweeps, encode_gop(sweeps, sensor, config.effort, predicted), predicted, strict=True)
+    layers, guessed = table_to_movable(task), table_to_movable_predictions(prediction)
+    if layers is None or guessed is None:
+        for static in coded:
+            yield *static[:2], None, _of_lasers(sensor, static)
+        return
+    moving = zip(layers, encode_gop(layers, sensor, config.effort, guessed, sweeps), guessed, strict=True)
+    for static, movable in zip(coded, moving, strict=True):
+        yield *static[:2], movable[:2], _of_lasers(sensor, static, movable)
 
 
 def _of_lasers(sensor: SensorModel, *layers: tuple[Sweep, Payload, Prediction]) -> dict[str, Any]:

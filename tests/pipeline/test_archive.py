@@ -192,7 +192,7 @@ def test_a_broken_gop_ends_the_scans_where_it_breaks(
 ) -> None:
     decode = module.decode_scans
 
-    def breaks(reader: Any, gop: int, layers: str, labels: bool, frame: str) -> Iterator[Scan]:
+    def breaks(reader: Any, gop: int, options: Any) -> Iterator[Scan]:
         scans = decode(reader, gop)
         yield next(scans)
         if gop == 1:
@@ -212,7 +212,7 @@ def test_threads_decode_no_further_ahead_than_their_number(
 ) -> None:
     begun = []
 
-    def counted(reader: Any, gop: int, layers: str, labels: bool, frame: str) -> Iterator[int]:
+    def counted(reader: Any, gop: int, options: Any) -> Iterator[int]:
         begun.append(gop)
         yield gop
 

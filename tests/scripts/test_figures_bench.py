@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from salpcc.stages.evaluate import bench
+from salpcc.stages.evaluate.studies import bench
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "figures.py"
 
@@ -47,7 +47,7 @@ def test_the_block_is_filled_and_the_rest_stays(script: ModuleType, measured: Pa
     )
     assert "| 10 mm | ours | 3.25 | 7.50 | 9.800 | 12 | 9 |" in text
     assert "| 10 mm | draco | 3.25 | 7.50 | - | 12 | 9 |" in text
-    assert "9.99" not in text and "evaluate.bench --scans 0`" in text
+    assert "9.99" not in text and "evaluate.studies.bench --scans 0`" in text
     assert script.main([*arguments, "--check"]) == 0
 
 

@@ -1,4 +1,4 @@
-"""Baselines: the codecs that this project is compared with, and itself, under one contract (``contract.py``)."""
+"""Baselines: the codecs that this project is compared with, and itself, under one contract (``baseline.py``)."""
 
 from __future__ import annotations
 

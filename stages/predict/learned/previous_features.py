@@ -147,7 +147,7 @@ def previous_features(  # type: ignore[no-untyped-def]
 ):
     """Fill the inputs ``x`` from features.END on; return ``counts`` with PREDICTORS more of its lanes filled.
 
-    Residuals are those of the slots to the base plane of :func:`features.point_features`, in units of 16 counts. The
+    Residuals are those of the slots to the base plane of :func:`.range_features.point_features`, in units of 16 counts. The
     predictors: the base plane moved by the residuals' mean, weighted by nearness; the same, robust; the first,
     moved by its own error at the return to the left, ``before``. ``above`` is the ring above, ``j1`` its return there.
     """

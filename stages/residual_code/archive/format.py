@@ -1,6 +1,6 @@
 """The archive of one sequence: an MCAP file, one message per scan, one chunk per GOP (schemas/ARCHIVE.md).
 
-Here: what an archive holds. ``archive_writer`` and ``archive_reader`` are each other's inverse.
+Here: what an archive holds. :mod:`.writer` and :mod:`.reader` are each other's inverse.
 """
 
 from __future__ import annotations

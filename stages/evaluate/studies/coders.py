@@ -1,6 +1,6 @@
 """Fig. 8: every lossless coder on the residuals of the paper profile, and directly on the scans.
 
-    python -m salpcc.stages.evaluate.coders --root DIR --sequences 04,06 --out OUT
+    python -m salpcc.stages.evaluate.studies.coders --root DIR --sequences 04,06 --out OUT
 
 Residuals: mask, ground map and level residuals of every frame, movables dropped by the labels; raw: x, y, z and intensity
 of all points as float32. What is coded is decoded again and compared.
@@ -19,10 +19,10 @@ import pyarrow as pa
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.measures.grid_frames import Frame, paper_frames, read_gops
 from salpcc.stages.evaluate.measures.metrics import compression_rate
 from salpcc.stages.evaluate.report.record import record
 from salpcc.stages.evaluate.report.schema import CODERS as CODERS_SCHEMA
+from salpcc.stages.evaluate.studies.grid_frames import Frame, paper_frames, read_gops
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.paper.lossless import CODERS, Lossless
 

@@ -1,15 +1,17 @@
-"""Options that the commands of ``run`` share: how they are named, explained, and turned into a configuration."""
+"""What commands share: arguments and options, how they are named and explained, and turned into a configuration."""
 
 from __future__ import annotations
 
 import re
+import shlex
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from salpcc.schemas.config import UNBOUNDED, Effort, RunConfig
+from salpcc.schemas.config import UNBOUNDED, Effort
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import location
 from salpcc.schemas.work import STAGES
@@ -18,8 +20,25 @@ if TYPE_CHECKING:
     from salpcc.pipeline.graph.graph import GraphOptions
 
 PLACE = "DIR|URL"
+BOX = "X0,Y0,Z0,X1,Y1,Z1"
+Config = TypeVar("Config", bound=BaseModel)
 
-# Panels of the help, in their order.
+Archive = Annotated[
+    Path,
+    typer.Argument(
+        parser=location, metavar="ARCHIVE", help="An archive, such as OUT/archives/04.mcap, or its URL."
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON to stdout.")]
+Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Frames A to B - 1 only, by name or place.")]
+Layers = Annotated[
+    str,
+    typer.Option(
+        metavar="LAYERS", help="Which layers: all, static, or movable; static reads no byte of the other."
+    ),
+]
+
+# Options of ``run``, and the panels of its help, in their order.
 INPUT, KEPT, CODING, RUNNING = "Input and output", "What is kept", "Coding", "Running"
 
 Out = Annotated[
@@ -137,7 +156,9 @@ Device = Annotated[
     str,
     typer.Option(metavar="cpu|cuda", help="The networks that use torch run here.", rich_help_panel=RUNNING),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print report.json to stdout.", rich_help_panel=RUNNING)]
+RunJson = Annotated[
+    bool, typer.Option("--json", help="Print report.json to stdout.", rich_help_panel=RUNNING)
+]
 
 
 def parse_frames(text: str | None) -> tuple[int, int] | None:
@@ -164,14 +185,31 @@ def parse_errors(text: str | None) -> dict[str, float | None]:
     raise UsageError(f"--max-error {text}: expected metres, such as 0.02, or static=0.02,movable=0")
 
 
-def config_of(**values: object) -> RunConfig:
+def command_line() -> str:
+    """The command that is running, as it is typed."""
+    return shlex.join(["salpcc-pipeline", *sys.argv[1:]])
+
+
+def config_of(kind: type[Config], **values: object) -> Config:
     """Check options, named as in the configuration."""
     try:
-        return RunConfig.model_validate(values)
+        return kind.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
         option = f"--{first['loc'][0]}: ".replace("_", "-") if first["loc"] else ""  # several do not fit
         raise UsageError(option + first["msg"].removeprefix("Value error, ")) from error
+
+
+def parse_box(option: str, text: str) -> tuple[float, ...]:
+    """Return the numbers of a box, metres in the frame of the poses; whoever takes them says what makes a box.
+
+    Raises:
+        UsageError: what is written are no numbers.
+    """
+    try:
+        return tuple(float(value) for value in text.split(","))
+    except ValueError as error:
+        raise UsageError(f"{option} {text}: expected six numbers x0,y0,z0,x1,y1,z1 in metres") from error
 
 
 def stages_of(first: str | None, last: str, keep: bool, overwrite: bool) -> GraphOptions:

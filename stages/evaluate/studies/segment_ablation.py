@@ -1,7 +1,7 @@
 """What follows the network brings: class shares taken back, several scans, free space; scan by scan and together.
 
-    python -m salpcc.stages.evaluate.segment_ablation --root DIR --out OUT 06=small
-    python -m salpcc.stages.evaluate.segment_ablation --root DIR --out OUT 01,05,07=A.safetensors 00,04,09=B.safetensors
+    python -m salpcc.stages.evaluate.studies.segment_ablation --root DIR --out OUT 06=small
+    python -m salpcc.stages.evaluate.studies.segment_ablation --root DIR --out OUT 01,05,07=A.safetensors 00,04,09=B.safetensors
 
 Every argument names sequences and the weights that label them: weights that never saw them, in a cross-validation.
 The record ``ablations`` of OUT makes a table of ``salpcc-pipeline report``.

@@ -9,9 +9,9 @@ import pytest
 
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.labels import CLASSES
-from salpcc.stages.evaluate import segment_ablation as ablation
-from salpcc.stages.evaluate.measures.grid_frames import read_gops
 from salpcc.stages.evaluate.report import write as report
+from salpcc.stages.evaluate.studies import segment_ablation as ablation
+from salpcc.stages.evaluate.studies.grid_frames import read_gops
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.lattice.sweep import sweep_to_scan

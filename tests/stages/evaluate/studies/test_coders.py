@@ -9,7 +9,7 @@ import pytest
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate.coders import _on_scans, _sum
+from salpcc.stages.evaluate.studies.coders import _on_scans, _sum
 from salpcc.stages.residual_code.paper.lossless import CODERS
 
 

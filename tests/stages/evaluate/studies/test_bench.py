@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.evaluate import bench
 from salpcc.stages.evaluate.baselines.ours import Coded
-from salpcc.stages.evaluate.profile import LIBRARIES, profile
+from salpcc.stages.evaluate.studies import bench
+from salpcc.stages.evaluate.studies.profile import LIBRARIES, profile
 
 
 def runner(
@@ -79,4 +79,4 @@ def test_threads_and_profile(street: Callable[..., Scan], monkeypatch: pytest.Mo
     assert seconds[LIBRARIES] > 0 and not any(name.startswith("stages") for name in seconds)
     scan = street()
     seconds = profile(lambda: bench._same(scan, scan))
-    assert "stages/evaluate/bench" in seconds
+    assert "stages/evaluate/studies/bench" in seconds

@@ -1,6 +1,6 @@
 """What each prediction of the paper profile brings: bits of the residuals without and with it.
 
-    python -m salpcc.stages.evaluate.ablation --root DIR --sequences 04,06 --out OUT
+    python -m salpcc.stages.evaluate.studies.ablation --root DIR --sequences 04,06 --out OUT
 
 Variants: (a) nothing is predicted, levels are coded as they are; (b) the range in the same cell of the last frame;
 (b2) the last frame warped by the motion; (c) planes for ground, (b) for the rest; (d) the network for the rest, (b) for
@@ -21,9 +21,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from salpcc.stages.evaluate.measures.grid_frames import Frame, paper_frames, read_gops
 from salpcc.stages.evaluate.report.record import record
 from salpcc.stages.evaluate.report.schema import ABLATIONS
+from salpcc.stages.evaluate.studies.grid_frames import Frame, paper_frames, read_gops
 from salpcc.stages.ingest.paper_grid import ELEVATION_UNIT
 from salpcc.stages.predict.paper.motion import UNITS
 from salpcc.stages.residual_code.paper.grid_context import ContextImages

@@ -1,4 +1,4 @@
-"""Race our codec against Draco and LASzip on the same scans: ``python -m salpcc.stages.evaluate.bench``.
+"""Race our codec against Draco and LASzip on the same scans: ``python -m salpcc.stages.evaluate.studies.bench``.
 
 Codecs take turns (A B A B …), so that a machine that slows down slows all of them, and CPU time is counted. Freed memory
 stays with the process, as in a run's workers; all codecs have that.
@@ -28,8 +28,8 @@ from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.baselines.baseline import FLOAT32_SLACK, Baseline
 from salpcc.stages.evaluate.baselines.ours import Coded, decode_group, encode_group, encode_static_layer
 from salpcc.stages.evaluate.measures.metrics import point_errors, same_bits
-from salpcc.stages.evaluate.profile import profile
 from salpcc.stages.evaluate.report.machine import describe_machine
+from salpcc.stages.evaluate.studies.profile import profile
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.simulated import Simulated
 from salpcc.stages.memory import keep_memory
@@ -192,7 +192,7 @@ def _document(
 ) -> dict[str, Any]:
     words = list(sys.argv[1:] if arguments is None else arguments)
     return {
-        "command": ["python", "-m", "salpcc.stages.evaluate.bench", *words],
+        "command": ["python", "-m", "salpcc.stages.evaluate.studies.bench", *words],
         "machine": describe_machine(),
         "scans": len(scans),
         "points": sum(len(scan) for scan in scans),
