@@ -2,10 +2,9 @@
 
 import sqlite3
 import struct
-import sys
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,6 @@ from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.typesys import Stores, get_typestore
 
 from salpcc.pipeline import Archive
-from salpcc.pipeline.cli.app import main
 from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, run_sequences
@@ -39,6 +37,7 @@ from salpcc.stages.ingest.sources.bag import Bag, count_log, find_log, open_log
 from salpcc.stages.ingest.sources.mcap_log import McapLog
 from salpcc.stages.ingest.sources.sqlite_log import SqliteLog
 
+Command = Callable[..., tuple[int, str]]
 STRING = "std_msgs/msg/String"
 START = 1_700_000_000_000_000_000
 STEP = 100_000_000
@@ -606,7 +605,7 @@ def test_times_over_two_to_the_63_come_back(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_metadata_is_its_only_file_or_says_what_to_do(
-    tmp_path: Path, command: "Command"
+    tmp_path: Path, command: Command
 ) -> None:
     bag = tmp_path / "lost"
     bag.mkdir()
@@ -779,7 +778,7 @@ def test_a_run_of_some_frames_verifies_and_one_of_all_is_made_anew(tmp_path: Pat
 
 
 def test_what_an_archive_cannot_hold_is_said_before_anything_is_written(
-    tmp_path: Path, command: "Command", monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = tmp_path / "plain.mcap"
     write_mcap(plain, drive())
@@ -827,7 +826,7 @@ def test_what_an_archive_cannot_hold_is_said_before_anything_is_written(
             assert any(line in one and one.startswith("note: ") for one in said.splitlines()), said
 
 
-def test_clouds_that_cannot_be_coded_are_kept_and_that_is_said(tmp_path: Path, command: "Command") -> None:
+def test_clouds_that_cannot_be_coded_are_kept_and_that_is_said(tmp_path: Path, command: Command) -> None:
     rows = drive()
     rows[2] = replace(rows[2], data=rows[2].data[:-60])
     path, out = tmp_path / "cut.mcap", tmp_path / "out"
@@ -845,13 +844,12 @@ def test_clouds_that_cannot_be_coded_are_kept_and_that_is_said(tmp_path: Path, c
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> "Command":
+def command(cli: Callable[..., Any]) -> Command:
+    """The command line: exit code, and what it says besides its output."""
+
     def call(*words: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["salpcc-pipeline", *map(str, words)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as end:
-            main()
-        return int(end.value.code or 0), capsys.readouterr().err
+        done = cli(*words)
+        return done.returncode, done.stderr
 
     return call
 
@@ -859,7 +857,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize("name", ["notes.txt", "notes.mcap", "notes.bag", "notes.db3", "empty.mcap"])
 @pytest.mark.parametrize("words", [("run", "log"), ("verify",), ("recover",)])
 def test_a_file_that_is_something_else_is_named(
-    words: tuple[str, ...], name: str, tmp_path: Path, command: "Command"
+    words: tuple[str, ...], name: str, tmp_path: Path, command: Command
 ) -> None:
     file = tmp_path / name
     file.write_text("" if name.startswith("empty") else "Rain in the morning, no sun.\n" * 20)
@@ -870,7 +868,7 @@ def test_a_file_that_is_something_else_is_named(
     assert "sensor model" not in said and not (tmp_path / "out").exists()
 
 
-def test_an_mcap_without_clouds_and_an_archive_are_named(tmp_path: Path, command: "Command") -> None:
+def test_an_mcap_without_clouds_and_an_archive_are_named(tmp_path: Path, command: Command) -> None:
     plain = tmp_path / "plain.mcap"
     write_mcap(plain, [text("hi", START)])
     code, said = command("run", "log", plain, "--out", tmp_path / "out")
@@ -893,10 +891,3 @@ def test_an_mcap_without_clouds_and_an_archive_are_named(tmp_path: Path, command
     code, said = command("run", "log", empty, "--out", tmp_path / "out")
     assert code == 2 and "no messages on /points" in said and "frames" not in said
     assert not (tmp_path / "out").exists()
-
-
-class Command:
-    """Type of the fixture: runs the command line, returns exit code and stderr."""
-
-    def __call__(self, *words: object) -> tuple[int, str]:
-        raise NotImplementedError

@@ -4,7 +4,7 @@ import json
 import re
 import shutil
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,7 @@ import pytest
 from salpcc.pipeline.cli.archives import _compared
 from salpcc.pipeline.export import EXPORTS
 
-COMMAND = [sys.executable, "-m", "salpcc.pipeline.cli"]
-
-
-def cli(*arguments: object, cwd: Path | None = None) -> "subprocess.CompletedProcess[str]":
-    command = [*COMMAND, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd, check=False)
+Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 def error_of(result: "subprocess.CompletedProcess[str]") -> str:
@@ -29,7 +24,7 @@ def error_of(result: "subprocess.CompletedProcess[str]") -> str:
     return lines[0]
 
 
-def test_run_prints_the_report_as_json_and_nothing_else(toy_root: Path, tmp_path: Path) -> None:
+def test_run_prints_the_report_as_json_and_nothing_else(cli: Cli, toy_root: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = cli("run", "sequences", "00,01", "--root", toy_root, "--out", out, "--keep-movable", "--json",
                  "--workers", 0, "--gop", 2)  # fmt: skip
@@ -41,7 +36,7 @@ def test_run_prints_the_report_as_json_and_nothing_else(toy_root: Path, tmp_path
     assert "dashboard http" in result.stderr
 
 
-def test_run_says_what_it_came_to(toy_root: Path, tmp_path: Path) -> None:
+def test_run_says_what_it_came_to(cli: Cli, toy_root: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = cli("run", "sequences", "01", "--root", toy_root, "--out", out, "--keep-movable", "--workers", 0,
                  "--effort", "fast")  # fmt: skip
@@ -68,7 +63,7 @@ def test_run_says_what_it_came_to(toy_root: Path, tmp_path: Path) -> None:
         ("nets/paper_ppmd_dropped.mcap", ["ranges in steps of 5 mm", "99 that can move dropped"]),
     ],
 )
-def test_inspect_fits_a_terminal(golden: str, words: list[str]) -> None:
+def test_inspect_fits_a_terminal(cli: Cli, golden: str, words: list[str]) -> None:
     path = Path(__file__).parents[2] / "golden" / golden
     for options in ([], ["--scans"]):
         result = cli("inspect", path, *options)
@@ -83,7 +78,7 @@ def test_inspect_fits_a_terminal(golden: str, words: list[str]) -> None:
         assert groups != bool(options)
 
 
-def test_run_decode_verify_give_the_files_back(done: Path, toy_root: Path, tmp_path: Path) -> None:
+def test_run_decode_verify_give_the_files_back(cli: Cli, done: Path, toy_root: Path, tmp_path: Path) -> None:
     archive = done / "archives" / "01.mcap"
     result = cli("decode", archive, "--to", "kitti", "--out", tmp_path)
     assert result.returncode == 0, result.stderr
@@ -98,7 +93,7 @@ def test_run_decode_verify_give_the_files_back(done: Path, toy_root: Path, tmp_p
     assert (verdict["good"], verdict["bit_exact_scans"], verdict["max_error_m"]) == (True, 3, 0.0)
 
 
-def test_decode_tells_the_unit_of_intensity(done: Path, tmp_path: Path) -> None:
+def test_decode_tells_the_unit_of_intensity(cli: Cli, done: Path, tmp_path: Path) -> None:
     archive = done / "archives" / "01.mcap"
     result = cli("decode", archive, "--to", "laz", "--crs", "EPSG:25832", "--out", tmp_path)
     assert result.returncode == 0, result.stderr
@@ -109,7 +104,7 @@ def test_decode_tells_the_unit_of_intensity(done: Path, tmp_path: Path) -> None:
         assert result.returncode == 2 and said in error_of(result)
 
 
-def test_decode_takes_frame_numbers(done: Path, tmp_path: Path) -> None:
+def test_decode_takes_frame_numbers(cli: Cli, done: Path, tmp_path: Path) -> None:
     archive = done / "archives" / "01.mcap"  # frames 0, 1, 7
     assert cli("decode", archive, "--to", "kitti", "--out", tmp_path, "--frames", "1:8").returncode == 0
     assert sorted(p.stem for p in tmp_path.rglob("*.bin")) == ["000001", "000007"]
@@ -117,7 +112,7 @@ def test_decode_takes_frame_numbers(done: Path, tmp_path: Path) -> None:
     assert result.returncode == 2 and "no scan" in error_of(result)
 
 
-def test_errors_say_what_was_written(tmp_path: Path) -> None:
+def test_errors_say_what_was_written(cli: Cli, tmp_path: Path) -> None:
     """No colon of it is an emoji, and options are named as they are."""
     run = "run", "sequences", "00", "--source", "simulated", "--out", tmp_path
     assert error_of(cli(*run, "--frames", "a:b")).startswith("error: --frames a:b: expected A:B")
@@ -129,7 +124,7 @@ def test_errors_say_what_was_written(tmp_path: Path) -> None:
     assert error_of(none) == "error: --max-error movable=METRES is of a movable layer, and there is none"
 
 
-def test_damaged_archive_fails_verification(done: Path, tmp_path: Path) -> None:
+def test_damaged_archive_fails_verification(cli: Cli, done: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad.mcap"
     data = bytearray((done / "archives" / "00.mcap").read_bytes())
     data[len(data) // 2] ^= 4
@@ -138,7 +133,7 @@ def test_damaged_archive_fails_verification(done: Path, tmp_path: Path) -> None:
     assert result.returncode == 1 and "PROBLEM" in result.stdout and "Traceback" not in result.stderr
 
 
-def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_path: Path) -> None:
+def test_failed_scan_is_exit_code_1_and_the_others_are_done(cli: Cli, toy_root: Path, tmp_path: Path) -> None:
     shutil.copytree(toy_root / "sequences" / "01", tmp_path / "root" / "sequences" / "01")
     (tmp_path / "root/sequences/01/velodyne/000001.bin").write_bytes(bytes(33))
     result = cli(
@@ -190,7 +185,7 @@ def test_failed_scan_is_exit_code_1_and_the_others_are_done(toy_root: Path, tmp_
     ],
 )
 def test_wrong_use_is_one_line_and_exit_code_2(
-    arguments: list[str], words: list[str], tmp_path: Path
+    cli: Cli, arguments: list[str], words: list[str], tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("no folder")
     result = cli(*arguments, cwd=tmp_path)
@@ -198,7 +193,9 @@ def test_wrong_use_is_one_line_and_exit_code_2(
     assert result.returncode == 2 and all(word in line for word in words), line
 
 
-def test_outputs_that_cannot_be_written_are_named(done: Path, toy_root: Path, tmp_path: Path) -> None:
+def test_outputs_that_cannot_be_written_are_named(
+    cli: Cli, done: Path, toy_root: Path, tmp_path: Path
+) -> None:
     file, archive = tmp_path / "file", done / "archives" / "00.mcap"
     file.write_text("no folder")
     for form in EXPORTS:
@@ -210,7 +207,7 @@ def test_outputs_that_cannot_be_written_are_named(done: Path, toy_root: Path, tm
     assert file.read_text() == "no folder"
 
 
-def test_frames_that_are_there_are_told(done: Path, toy_root: Path, tmp_path: Path) -> None:
+def test_frames_that_are_there_are_told(cli: Cli, done: Path, toy_root: Path, tmp_path: Path) -> None:
     result = cli("run", "sequences", "00", "--root", toy_root, "--frames", "7:9", "--out", tmp_path / "out")
     assert result.returncode == 2 and "frames 0 to 4 are there" in error_of(result)
     result = cli("decode", done / "archives" / "00.mcap", "--to", "ply", "--frames", "7:9", "--out", tmp_path)
@@ -226,7 +223,7 @@ def test_frames_that_are_there_are_told(done: Path, toy_root: Path, tmp_path: Pa
     ],
 )
 def test_files_that_an_option_names_are_named(
-    toy_root: Path, tmp_path: Path, option: list[str], said: list[str]
+    cli: Cli, toy_root: Path, tmp_path: Path, option: list[str], said: list[str]
 ) -> None:
     (tmp_path / "odd.json").write_text('{"version": 1}')
     result = cli("run", "sequences", "00", "--root", toy_root, *option, cwd=tmp_path)
@@ -235,20 +232,20 @@ def test_files_that_an_option_names_are_named(
 
 
 @pytest.mark.parametrize("content", [b"", b"not mcap at all" * 10])
-def test_what_is_no_archive_is_one_line_and_exit_code_1(tmp_path: Path, content: bytes) -> None:
+def test_what_is_no_archive_is_one_line_and_exit_code_1(cli: Cli, tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.mcap").write_bytes(content)
     result = cli("inspect", tmp_path / "x.mcap")
     assert result.returncode == 1 and "x.mcap" in error_of(result)
 
 
-def test_what_is_damaged_can_be_recovered_and_that_is_said(tmp_path: Path) -> None:
+def test_what_is_damaged_can_be_recovered_and_that_is_said(cli: Cli, tmp_path: Path) -> None:
     whole = (Path(__file__).parents[2] / "golden" / "fast_exact.mcap").read_bytes()
     (tmp_path / "x.mcap").write_bytes(whole[:-20])
     result = cli("inspect", tmp_path / "x.mcap")
     assert result.returncode == 1 and "`salpcc-pipeline recover` saves what is whole" in error_of(result)
 
 
-def test_names_are_shown_as_they_are(toy_root: Path, tmp_path: Path) -> None:
+def test_names_are_shown_as_they_are(cli: Cli, toy_root: Path, tmp_path: Path) -> None:
     """Whatever is in brackets, which is markup elsewhere."""
     odd = tmp_path / "a [" / "b] [dim].mcap"
     odd.parent.mkdir()
@@ -256,7 +253,18 @@ def test_names_are_shown_as_they_are(toy_root: Path, tmp_path: Path) -> None:
     assert "b] [dim].mcap" in cli("inspect", "b] [dim].mcap", cwd=odd.parent).stdout
     out = tmp_path / "[" / "b]"
     result = cli(
-        "run", "sequences", "01", "--root", toy_root, "--keep-movable", "--to", "ingest", "--out", out
+        "run",
+        "sequences",
+        "01",
+        "--root",
+        toy_root,
+        "--keep-movable",
+        "--to",
+        "ingest",
+        "--workers",
+        0,
+        "--out",
+        out,
     )
     assert result.returncode == 0 and f"shards are in {out}" in result.stderr
 
@@ -279,13 +287,13 @@ def test_names_are_shown_as_they_are(toy_root: Path, tmp_path: Path) -> None:
         ["train", "coder"],
     ],
 )
-def test_every_command_has_help_and_an_example(command: list[str]) -> None:
+def test_every_command_has_help_and_an_example(cli: Cli, command: list[str]) -> None:
     result = cli(*command, "--help")
     assert result.returncode == 0
     assert command == ["run"] or f"salpcc-pipeline {' '.join(command)}" in " ".join(result.stdout.split())
 
 
-def test_inspect_shows_archives_and_shards(done: Path) -> None:
+def test_inspect_shows_archives_and_shards(cli: Cli, done: Path) -> None:
     archive = json.loads(cli("inspect", done / "archives" / "00.mcap", "--json").stdout)
     assert archive["scans"] == 5 and archive["totals"]["strays"] == 0
     assert archive["totals"]["n_points"] == archive["totals"]["kept"] > 10000
@@ -293,7 +301,7 @@ def test_inspect_shows_archives_and_shards(done: Path) -> None:
     assert json.loads(cli("inspect", shard, "--json").stdout)["facts"]["stage"] == "evaluate"
 
 
-def test_calibrate_recovers_the_model(toy_root: Path, tmp_path: Path) -> None:
+def test_calibrate_recovers_the_model(cli: Cli, toy_root: Path, tmp_path: Path) -> None:
     result = cli("calibrate", toy_root, "--out", tmp_path / "mine.json")
     assert result.returncode == 0, result.stderr
     assert json.loads((tmp_path / "mine.json").read_text())["name"] == "mine"
@@ -301,7 +309,7 @@ def test_calibrate_recovers_the_model(toy_root: Path, tmp_path: Path) -> None:
     assert "range step: 2 mm" in result.stdout and "of the points back to the millimetre" in result.stdout
 
 
-def test_calibrate_says_what_is_no_sensor(tmp_path: Path) -> None:
+def test_calibrate_says_what_is_no_sensor(cli: Cli, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     for name, rows in (("blob", rng.normal(0, 20, (5000, 4))), ("few", rng.normal(0, 20, (50, 4)))):
         rows.astype("<f4").tofile(tmp_path / f"{name}.bin")
@@ -310,7 +318,7 @@ def test_calibrate_says_what_is_no_sensor(tmp_path: Path) -> None:
     assert not (tmp_path / "s.json").exists()
 
 
-def test_report_is_rebuilt(done: Path, tmp_path: Path) -> None:
+def test_report_is_rebuilt(cli: Cli, done: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(done, out)
     (out / "report" / "report.json").unlink()
@@ -319,7 +327,7 @@ def test_report_is_rebuilt(done: Path, tmp_path: Path) -> None:
     assert rebuilt["sequences"] == json.loads((done / "report" / "report.json").read_text())["sequences"]
 
 
-def test_verify_says_what_it_compared() -> None:
+def test_verify_says_what_it_compared(cli: Cli) -> None:
     result = cli("verify", Path(__file__).parents[2] / "golden" / "fast_exact.mcap")
     assert result.returncode == 0
     assert "; every checksum holds (--against compares with the source)" in result.stdout
@@ -334,6 +342,6 @@ def test_verify_says_what_it_compared() -> None:
     assert _compared(less).endswith("; not in the archive: 2 of its scans, 000007 to 000009")
 
 
-def test_help_begins_with_the_main_job() -> None:
+def test_help_begins_with_the_main_job(cli: Cli) -> None:
     names = re.findall(r"^│ (\w+) ", cli("--help").stdout.partition("Commands")[2], re.MULTILINE)
     assert names[0] == "run" and len(names) > 15
