@@ -245,8 +245,7 @@ class Archive(Sequence[Scan]):
             try:
                 index = self.names.index(index)
             except ValueError:
-                held = f"{self.names[0]} to {self.names[-1]}" if len(self) else "none"
-                raise KeyError(f"scan {index} is not in {self._reader.path}, which holds {held}") from None
+                raise KeyError(f"scan {index} is not in {self._reader.path}; {self._reader.held}") from None
         try:
             index = operator.index(index)
         except TypeError:
@@ -257,13 +256,20 @@ class Archive(Sequence[Scan]):
         return _detached(self._in_hand.scan(self._reader, *self._places[index]))
 
     def of_frames(self, frames: tuple[int, int] | None) -> Iterator[Scan]:
-        """Yield the scans of frames ``[first, last)``, or all: a frame's number is the name where that is one, else the place."""
-        if frames is None:
+        """Yield the scans of frames ``[first, last)``, or all: a frame's number is the name where that is one, else the place.
+
+        Raises:
+            UsageError: there is none.
+        """
+        if frames is None and len(self):
             yield from self
             return
-        for place, name in enumerate(self.names):
-            if frames[0] <= frame_number(name, place) < frames[1]:
-                yield self[place]
+        first, last = frames or (0, 0)
+        places = [at for at, name in enumerate(self.names) if first <= frame_number(name, at) < last]
+        if not places:
+            raise UsageError(f"{self._reader.path}: no scan of it is of these frames; {self._reader.held}")
+        for place in places:
+            yield self[place]
 
     def __iter__(self) -> Iterator[Scan]:
         gops = range(len(self._reader.gops))

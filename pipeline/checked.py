@@ -13,7 +13,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import KindError, UsageError
 from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.arrays import array_of, float32
+from salpcc.stages.ingest.arrays import array_of, intensity_array, points_array
 from salpcc.stages.residual_code.archive.format import file_name
 
 _LONGEST_NAME = 200  # bytes, as files have an ending besides
@@ -42,12 +42,8 @@ def checked(scans: Iterable[Scan], config: RunConfig) -> Iterator[Scan]:
             raise UsageError(f"{where}: time {scan.time} is negative, or too large for 63 bits")
         if not isinstance(scan.frame_id, str):
             raise UsageError(f"{where}: frame_id {scan.frame_id!r} is no text")
-        points = float32(scan.points, f"{where}: points")
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise KindError(f"{where}: points of shape {points.shape}; they are (N, 3), x, y, z in metres")
-        intensity = float32(scan.intensity, f"{where}: intensity")
-        if intensity.shape != (len(points),):
-            raise KindError(f"{where}: intensity of shape {intensity.shape} for {len(points)} points")
+        points = points_array(scan.points, where)
+        intensity = intensity_array(scan.intensity, len(points), where)
         if scan.cloud is not None and len(scan.cloud.rest) != len(points):
             raise UsageError(f"{where}: a cloud of {len(scan.cloud.rest)} points for {len(points)}")
         yield replace(
@@ -81,7 +77,7 @@ def _labels(values: Any, n_points: int, where: str, wanted: bool) -> NDArray[np.
         raise UsageError(f"{where}: labels {'missing' if wanted else 'given'}, and the scans before {had}")
     if values is None:
         return None
-    array = array_of(values)
+    array = array_of(values, f"{where}: labels")
     sound = array.shape == (n_points,) and array.dtype.kind in "iu"
     if not sound or (n_points and not 0 <= int(array.min()) <= int(array.max()) < 1 << 32):
         raise KindError(
@@ -95,7 +91,7 @@ def _classes(values: Any, n_points: int, where: str, config: RunConfig) -> NDArr
         if config.labels == "given":
             raise UsageError(f"{where}: labels are given, but its classes are None")
         return None
-    array = array_of(values)
+    array = array_of(values, f"{where}: classes")
     if array.shape != (n_points,) or array.dtype.kind not in "iu":
         raise KindError(
             f"{where}: classes {array.dtype} of shape {array.shape}; they are whole numbers ({n_points},)"

@@ -88,44 +88,16 @@ def encode_scans(
     >>> len(Archive.open(encode_scans(scans, folder / "nine.mcap", effort="fast", max_error=0.01)))
     9
     """
-    options = {
-        "max_error": max_error,
-        "movable_max_error": movable_max_error,
-        "keep_movable": keep_movable,
-        "drop_movable": drop_movable,
-        "labels": labels,
-        "classes": classes,
-        "effort": effort,
-        "gop": gop,
-        "sensor": sensor,
-        "profile": profile,
-        "coder": coder,
-        "weights": weights,
-        "several_scans": several_scans,
-    }
-    given: dict[str, Any] = {name: value for name, value in arrays.items() if is_array(value)}
-    if unknown := arrays.keys() - given.keys():
+    # Options have the names that they have in a run.
+    options = {name: value for name, value in locals().items() if name in RunConfig.model_fields}
+    fields = {name: value for name, value in (arrays | options).items() if is_array(value)}
+    if unknown := arrays.keys() - fields.keys():
         name = min(unknown)
         raise KindError(
             f"option {name}: there is none, and {type(arrays[name]).__name__} is no array of a field of points"
         )
-    given |= {name: options.pop(name) for name in list(options) if is_array(options[name])}
-    if is_array(scans):
-        if own := {"points", "name", "stamp", "frame_id"} & given.keys():
-            raise UsageError(
-                f"a field of points cannot be named {min(own)}, as scan_from_arrays has one of its own"
-            )
-        listed: Iterable[Scan] = [scan_from_arrays(scans, intensity, **given)]
-    elif given or intensity is not None:
-        names = ", ".join([*(["intensity"] if intensity is not None else []), *given])
-        raise KindError(
-            f"{names}: arrays go with points; of several scans make each by scan_from_arrays(points, …)"
-        )
-    elif isinstance(scans, Iterable):
-        listed = scans
-    else:
-        raise KindError(f"{type(scans).__name__} is neither scans nor an array of points")
-    config = _config(options)
+    listed = _listed(scans, intensity, fields)
+    config = _config({name: value for name, value in options.items() if name not in fields})
     target = location(path)
     if target.exists() and not overwrite:
         raise UsageError(f"{target} is there already; overwrite=True replaces it")
@@ -143,6 +115,24 @@ def encode_scans(
     facts = ArchiveFacts(sequence, "arrays", "", config.coding, model, layered, labelled)
     write_archive(target, facts, _gops(chain([first_scan], coming), config))
     return target
+
+
+def _listed(scans: Iterable[Scan] | Array, intensity: Array | None, fields: dict[str, Any]) -> Iterable[Scan]:
+    """The scans that are given, or the one that is made of arrays."""
+    if is_array(scans):
+        if own := {"points", "name", "stamp", "frame_id"} & fields.keys():
+            raise UsageError(
+                f"a field of points cannot be named {min(own)}, as scan_from_arrays has one of its own"
+            )
+        return [scan_from_arrays(scans, intensity, **fields)]
+    if fields or intensity is not None:
+        names = ", ".join([*(["intensity"] if intensity is not None else []), *fields])
+        raise KindError(
+            f"{names}: arrays go with points; of several scans make each by scan_from_arrays(points, …)"
+        )
+    if not isinstance(scans, Iterable):
+        raise KindError(f"{type(scans).__name__} is neither scans nor an array of points")
+    return scans
 
 
 def _config(options: dict[str, Any]) -> RunConfig:

@@ -112,20 +112,18 @@ def scans_of(path: Path, layers: Layers, frames: tuple[int, int] | None) -> Iter
         path = path / "map.mcap"
     if not path.exists():
         raise UsageError(f"{path}: not found; name an archive, a log or the folder of a map")
-    shown = 0
     if is_archive(path):
-        for scan in Archive.open(path, layers=layers).of_frames(frames):
-            shown += 1
-            yield scan
-    else:
-        names = Bag().sequences(path)
-        if len(names) != 1:
-            raise UsageError(f"{path}: no archive, log or folder of a map; of several logs name one")
-        for ref in select(Bag().scans(path, names[0]), frames):
-            shown += 1
-            yield Bag().read(ref, with_labels=False)
-    if not shown:
-        raise UsageError(f"{path}: no scan lies in these frames")
+        yield from Archive.open(path, layers=layers).of_frames(frames)
+        return
+    names = Bag().sequences(path)
+    if len(names) != 1:
+        raise UsageError(f"{path}: no archive, log or folder of a map; of several logs name one")
+    there = Bag().scans(path, names[0])
+    chosen = select(there, frames)
+    if not chosen:
+        raise UsageError(f"{path}: no cloud of it is of these frames; it holds {len(there)}, counted from 0")
+    for ref in chosen:
+        yield Bag().read(ref, with_labels=False)
 
 
 def is_archive(path: Path) -> bool:

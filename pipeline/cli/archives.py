@@ -80,10 +80,6 @@ def decode(
         for path in export(opened, scans, out, partial(STDERR.print, soft_wrap=True)):
             count += 1
             folder = path.parent
-        if not count:
-            names = opened.names
-            there = f"it holds {names[0]} to {names[-1]}" if names else "it holds none"
-            raise UsageError(f"--frames {frames}: no scan of {archive} lies there; {there}")
         typer.echo(f"{count} file{'s' if count > 1 else ''} in {folder}")
 
 

@@ -142,7 +142,7 @@ def sequences(
         raise UsageError(f"--source {source}: choose from {', '.join(SOURCES)}")
     if tmc3 is not None:
         if shutil.which(tmc3) is None:
-            raise UsageError(f"--tmc3 {tmc3}: no program there")
+            raise UsageError(f"--tmc3 {tmc3}: no program there; name MPEG's tmc3")
         os.environ["SALPCC_TMC3"] = str(tmc3.resolve())  # the workers of this machine inherit it
     entry = _manifest(manifest).sources.get(source)
     if root is None and entry is not None and entry.root:

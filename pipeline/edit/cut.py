@@ -78,7 +78,8 @@ def cut(path: Path, out: Path, selection: Selection) -> Counts:
     reader = ArchiveReader(path)
     names, window = _selected(reader, selection)
     if not any(names):
-        raise UsageError(f"{path}: no scan of it is selected; {_held(reader)}")
+        first, last = reader.span
+        raise UsageError(f"{path}: no scan of it is selected; {reader.held}, {(last - first) / 1e9:.1f} s")
     log = None
     if reader.log:
         channels = [c for c in reader.log.values() if not selection.topics or c.topic in selection.topics]
@@ -239,9 +240,3 @@ def _topics(reader: ArchiveReader) -> list[str]:
 def _within(message: LogMessage, window: tuple[int | None, int | None]) -> bool:
     first, last = window
     return (first is None or first <= message.log_time) and (last is None or message.log_time < last)
-
-
-def _held(reader: ArchiveReader) -> str:
-    names = reader.names
-    first, last = reader.span
-    return f"it holds {names[0]} to {names[-1]}, {(last - first) / 1e9:.1f} s" if names else "it holds none"

@@ -130,7 +130,7 @@ def redact(
         )
     names = reader.names
     if names and not any(selection.concerns(name, place) for place, name in enumerate(names)):
-        raise UsageError(f"{path}: no scan of it is of these frames; it holds {names[0]} to {names[-1]}")
+        raise UsageError(f"{path}: no scan of it is of these frames; {reader.held}")
     placed = _poses(reader, poses) if selection.box else None
     reader.check()
     # Without its inputs no run takes it for the archive that it would make.

@@ -41,7 +41,12 @@ def given_poses(source: str, reader: ArchiveReader) -> F64:
                 f"{reader.path}: scans of several sensors ({', '.join(sorted(frames))}); take the topic of one with cut --topic"
             )
         if in_log:
-            return poses_in_log(source, reader.log, reader.passing(), frames.pop(), _instants(reader), names)
+            try:
+                return poses_in_log(
+                    source, reader.log, reader.passing(), frames.pop(), _instants(reader), names
+                )
+            except SourceError as error:
+                raise SourceError(f"{reader.path}: {error}") from error
     path = Path(source)
     if not path.is_file():
         topics = ", ".join(sorted({channel.topic for channel in reader.log.values()}))

@@ -226,7 +226,9 @@ def _truth_of(ref: ScanRef, pose: F64, motion: F64, config: MapConfig) -> tuple[
     assert ref.labels is not None
     labels = np.fromfile(ref.labels, "<u4")
     if len(labels) != len(points):
-        raise SourceError(f"{ref.labels}: {len(labels)} labels for {len(points)} points")
+        raise SourceError(
+            f"{ref.labels}: {len(labels)} labels for {len(points)} points; name the root of these scans with --against"
+        )
     return move(points[near], pose), truth_of_labels(labels)[near]
 
 

@@ -44,7 +44,7 @@ def _locked_file(out: Path) -> Iterator[None]:
         lock.acquire(blocking=False)
     except OSError as error:  # a Timeout is one
         if not isinstance(error, Timeout):
-            raise UsageError(f"{out}: cannot write there ({error.strerror})") from error
+            raise UsageError(f"{out}: cannot write there ({error.strerror}); choose another --out") from error
         raise LockedError(
             f"{out}: another run (process {_who(path)}) is using this output folder; wait for it or choose --out"
         ) from error
@@ -74,7 +74,7 @@ def _leased(out: Path) -> Iterator[None]:
     try:
         _take(out, path, token)
     except OSError as error:
-        raise UsageError(f"{out}: cannot write there ({why(error)})") from error
+        raise UsageError(f"{out}: cannot write there ({why(error)}); choose another --out") from error
     _held.add(token)
     thread = Thread(target=_renew, args=(path, token, over), daemon=True)
     thread.start()

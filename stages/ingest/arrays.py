@@ -54,15 +54,8 @@ def scan_from_arrays(
     array([7, 8], dtype=uint8)
     """
     where = f"scan {name!r}"
-    xyz = float32(points, f"{where}: points")
-    if xyz.ndim != 2 or xyz.shape[1] != 3:
-        more = "; give the fourth column as intensity" if xyz.ndim == 2 and xyz.shape[1] == 4 else ""
-        raise KindError(f"{where}: points of shape {xyz.shape}; they are (N, 3), x, y, z in metres{more}")
-    bright = np.zeros(len(xyz), np.float32)
-    if intensity is not None:
-        bright = float32(intensity, f"{where}: intensity")
-    if bright.shape != (len(xyz),):
-        raise KindError(f"{where}: intensity of shape {bright.shape} for {len(xyz)} points")
+    xyz = points_array(points, where)
+    bright = intensity_array(np.zeros(len(xyz)) if intensity is None else intensity, len(xyz), where)
     if not fields:
         return Scan(name, xyz, bright, stamp, frame_id, classes)
     columns: dict[str, NDArray[Any]] = dict(zip(_OWN, (*xyz.T, bright), strict=True))
@@ -90,18 +83,49 @@ def scan_from_arrays(
     return Scan(name, scan.points, scan.intensity, stamp, frame_id, classes, cloud=scan.cloud)
 
 
-def array_of(values: Any) -> NDArray[Any]:
-    """Return an array of what is one; tensors come from their device and leave their gradients behind."""
+def points_array(values: Any, where: str) -> NDArray[np.float32]:
+    """Return points ``(N, 3)`` as float32.
+
+    Raises:
+        KindError: they are of another shape or type; the message begins with ``where``.
+    """
+    points = float32(values, f"{where}: points")
+    if points.ndim != 2 or points.shape[1] != 3:
+        more = "; give the fourth column as intensity" if points.ndim == 2 and points.shape[1] == 4 else ""
+        raise KindError(f"{where}: points of shape {points.shape}; they are (N, 3), x, y, z in metres{more}")
+    return points
+
+
+def intensity_array(values: Any, n_points: int, where: str) -> NDArray[np.float32]:
+    """Return intensities ``(N,)`` as float32.
+
+    Raises:
+        KindError: as in :func:`points_array`.
+    """
+    intensity = float32(values, f"{where}: intensity")
+    if intensity.shape != (n_points,):
+        raise KindError(f"{where}: intensity of shape {intensity.shape} for {n_points} points")
+    return intensity
+
+
+def array_of(values: Any, what: str) -> NDArray[Any]:
+    """Return an array of what is one; tensors come from their device and leave their gradients behind.
+
+    Raises:
+        KindError: it is none, or holds what an array cannot; ``what`` it is is named.
+    """
     if np.ma.is_masked(values):
         raise KindError(
-            "an array with masked values, and nothing holds the mask: .filled(numpy.nan), say, or give the mask as a field"
+            f"{what}: an array with masked values, and nothing holds the mask: .filled(numpy.nan), say, or give the mask as a field"
         )
     try:
         if hasattr(values, "detach"):
             values = values.detach().cpu()
         return np.asarray(values)
     except (TypeError, ValueError, RuntimeError) as error:
-        raise KindError(f"{type(values).__name__} is no array: {str(error).splitlines()[0]}") from error
+        raise KindError(
+            f"{what}: {type(values).__name__} is no array: {str(error).splitlines()[0]}"
+        ) from error
 
 
 def is_array(values: Any) -> bool:
@@ -115,7 +139,7 @@ def float32(values: Any, what: str) -> NDArray[np.float32]:
     Raises:
         KindError: it does, or they are no numbers; ``what`` they are is named.
     """
-    array = array_of(values)
+    array = array_of(values, what)
     if array.dtype.kind not in "fiu":
         raise KindError(f"{what} of type {array.dtype}; float32 is what is coded")
     with np.errstate(over="ignore", invalid="ignore"):
@@ -143,7 +167,7 @@ def _narrower(array: NDArray[Any]) -> str:
 
 
 def _field(values: Any, n_points: int, what: str) -> NDArray[Any]:
-    array = array_of(values)
+    array = array_of(values, what)
     if array.ndim not in (1, 2) or len(array) != n_points or 0 in array.shape[1:]:
         raise KindError(f"{what} of shape {array.shape} for {n_points} points; it is (N,) or (N, k)")
     if array.dtype.str[1:] not in _DATATYPES:

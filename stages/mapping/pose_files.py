@@ -54,12 +54,14 @@ def _read(
     for at, line in rows:
         fields = parts(line)
         if len(fields) != numbers:
-            raise SourceError(f"{path}: line {at}: {len(fields)} numbers, the first one has {numbers}")
+            raise SourceError(
+                f"{path}: line {at}: {len(fields)} numbers, the first one has {numbers}; mend it"
+            )
         try:
             # As decimals: seconds since 1970 with nanoseconds are more digits than a float has.
             times.append(int((Decimal(fields[0]) * unit).to_integral_value()))
             values.append([float(value) for value in fields])
         except (ValueError, InvalidOperation, OverflowError) as error:
-            raise SourceError(f"{path}: line {at}: not all of it are numbers") from error
+            raise SourceError(f"{path}: line {at}: not all of it are numbers; mend it") from error
     table = np.array(values)
     return Trajectory.of(str(path), times, table[:, 1:4], table[:, list(quaternion)])

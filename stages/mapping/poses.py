@@ -111,7 +111,7 @@ def _calibration(path: Path) -> F64:
         if row.startswith("Tr:"):
             matrix = _matrix(row[3:], f"{path}: Tr")
             if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3]) - 1) > _ROTATION_SLACK:
-                raise SourceError(f"{path}: Tr is not a pose")
+                raise SourceError(f"{path}: its line `Tr:` is not a pose; take the calib.txt of this drive")
             return matrix
     raise SourceError(f"{path}: no line `Tr:`, which takes the sensor to the camera")
 
@@ -122,5 +122,5 @@ def _matrix(row: str, where: str) -> F64:
     except ValueError as error:
         raise SourceError(f"{where}: {error}") from error
     if len(values) != 12:
-        raise SourceError(f"{where}: {len(values)} numbers, a pose has 12")
+        raise SourceError(f"{where}: {len(values)} numbers, a pose has 12; mend it")
     return np.concatenate([np.array(values).reshape(3, 4), [[0.0, 0.0, 0.0, 1.0]]])

@@ -51,7 +51,7 @@ def test_indices_are_those_of_a_sequence(path: Path) -> None:
 def test_a_scan_is_found_by_its_name(path: Path) -> None:
     archive = Archive.open(path)
     assert archive["000003"].points.tobytes() == archive[3].points.tobytes()
-    with pytest.raises(KeyError, match=r"000007 is not in .*, which holds 000000 to 000004"):
+    with pytest.raises(KeyError, match=r"000007 is not in .*; it holds 000000 to 000004"):
         archive["000007"]
 
 

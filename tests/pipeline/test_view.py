@@ -58,7 +58,7 @@ def test_archives_logs_and_maps(archive: Path, tmp_path: Path) -> None:
     for wrong, said in ((tmp_path / "none", "not found"), (tmp_path / "empty", "no archive, log or")):
         with pytest.raises(UsageError, match=said):
             next(scans_of(wrong, "all", None))
-    with pytest.raises(UsageError, match="no scan lies in these frames"):
+    with pytest.raises(UsageError, match="no scan of it is of these frames; it holds"):
         next(scans_of(archive, "all", (50, 60)))
 
 

@@ -17,7 +17,7 @@ try:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 except ImportError as error:  # no wheel of it for Linux on ARM
-    raise UsageError(f"the simulator needs the package embreex: {error}") from error
+    raise UsageError(f"the simulator needs embreex ({error}): pip install 'salpcc-pipeline[run]'") from error
 
 F64 = NDArray[np.float64]
 _WINDOW = 40.0  # metres of drive between two rebuilds of the static scene

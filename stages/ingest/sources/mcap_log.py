@@ -118,7 +118,9 @@ class McapLog:
         except OSError as error:
             raise SourceError(f"{self.files[number]}: {why(error)}") from error
         except PARSE_ERRORS as error:
-            raise SourceError(f"{self.files[number]}: {topic} at {time}: damaged ({error})") from error
+            raise SourceError(
+                f"{self.files[number]}: {topic} at {time}: damaged ({error}); `mcap recover` saves what is whole"
+            ) from error
 
     def enclosed(self) -> Iterator[Enclosed]:
         """Yield attachments and metadata in the order of the files."""

@@ -96,5 +96,7 @@ def read_labels(ref: ScanRef, n_points: int) -> NDArray[np.uint32]:
     labels = labels_that_fit(ref, n_points)
     if labels is None:
         size = len(label_file(ref.labels))
-        raise SourceError(f"{ref.labels}: {size} bytes for {n_points} points, expected 4 bytes a point")
+        raise SourceError(
+            f"{ref.labels}: {size} bytes for {n_points} points, expected 4 bytes a point; use --labels network"
+        )
     return labels

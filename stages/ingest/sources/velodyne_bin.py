@@ -151,7 +151,9 @@ def list_scans(
     if len(set(numbers)) < len(numbers):
         raise SourceError(f"{folder}: two scans of one frame number; move one of them elsewhere")
     if times is not None and odd and len(times) != len(files):
-        raise SourceError(f"{times_file}: {len(times)} lines for {len(files)} scans; which line is whose?")
+        raise SourceError(
+            f"{times_file}: {len(times)} lines for {len(files)} scans; complete it, or move it elsewhere: then scans are taken to be 0.1 s apart"
+        )
     # One listing, for asking a store about each of them takes minutes.
     labelled = {file.name: str(file) for file in labels.glob("*.label")} if labels is not None else {}
     refs = []

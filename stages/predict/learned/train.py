@@ -63,7 +63,9 @@ def collect(sweeps: Iterable[Pair], sensor: SensorModel, recipe: Recipe) -> tupl
         UsageError: the sensor is not one the features fit, or there are no sweeps.
     """
     if not supports(sensor):
-        raise UsageError("the learned models are for 64 lasers, 4000 ticks and 2 mm counts")
+        raise UsageError(
+            f"--sensor {sensor.name}: the networks are for 64 lasers, 4000 ticks and 2 mm counts; --effort fast has tables for any"
+        )
     rng = np.random.default_rng(recipe.seed)
     ranges: list[Rows] = []
     values: list[Rows] = []
@@ -87,7 +89,7 @@ def collect(sweeps: Iterable[Pair], sensor: SensorModel, recipe: Recipe) -> tupl
             x, side = collect_intensity(starts, sweep.tick, level, step, intensity, sensor, keep, seen)
             values.append({"x": x, "side": side, "y": intensity[keep], "laser": sweep.laser[keep]})
     if not ranges:
-        raise UsageError("no sweeps to train on")
+        raise UsageError("no scans to train on; name the root of some with --data")
     return _join(ranges), _join(values)
 
 

@@ -57,7 +57,7 @@ def count_tables(sweeps: Iterable[Sweep], sensor: SensorModel) -> tuple[Counts, 
             found = contexts(starts, sweep.tick, sweep.count, 1, sensor, known)
             np.add.at(values, (found.of_values, known), 1)
     if not tokens.any():
-        raise UsageError("no sweeps to train on")
+        raise UsageError("no scans to train on; name the root of some with --data")
     return tokens, values
 
 

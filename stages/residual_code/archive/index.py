@@ -185,7 +185,7 @@ def _entries(
         [e.name for e in movable_gop] != [e.name for e in gop][: len(movable_gop)]
         for gop, movable_gop in zip(gops, movable_gops, strict=True)
     ):
-        raise ArchiveError(f"{file.path}: the movable layer is of other scans")
+        raise DamagedError(f"{file.path}: the movable layer is of other scans")
     return gops, movable_gops
 
 
@@ -193,5 +193,5 @@ def _by_gop(path: Path, gops: Gops, chunks: list[ChunkIndex]) -> dict[int, Chunk
     """Say of which GOP each chunk of a layer is."""
     full = [number for number, gop in enumerate(gops) if gop]
     if len(full) != len(chunks):
-        raise ArchiveError(f"{path}: {len(chunks)} chunks for {len(full)} GOPs")
+        raise DamagedError(f"{path}: {len(chunks)} chunks for {len(full)} GOPs")
     return dict(zip(full, chunks, strict=True))

@@ -56,7 +56,7 @@ class ArchiveReader:
         except OSError as error:
             raise ArchiveError(f"{self.path}: {why(error)}") from error
         except PARSE_ERRORS as error:
-            raise ArchiveError(f"{self.path}: the index is damaged ({error})") from error
+            raise DamagedError(f"{self.path}: the index is damaged ({error})") from error
         self.size = self._file.size
         self.facts = self._index.facts
         self.gops, self.movable_gops = self._index.gops, self._index.movable_gops
@@ -78,6 +78,12 @@ class ArchiveReader:
     def names(self) -> list[str]:
         """Names of the scans, in the order of the archive."""
         return [entry.name for gop in self.gops for entry in gop]
+
+    @property
+    def held(self) -> str:
+        """Say which scans there are, for messages."""
+        names = self.names
+        return f"it holds {names[0]} to {names[-1]}" if names else "it holds none"
 
     @property
     def entries(self) -> list[tuple[ScanEntry, ...]]:
@@ -120,9 +126,9 @@ class ArchiveReader:
             at = self._index.chunks[gop].message_index_offsets[1]
             index = MessageIndex.read(self._file.record(at, Opcode.MESSAGE_INDEX))
         except PARSE_ERRORS as error:
-            raise ArchiveError(f"{self.path}: index of GOP {gop} is damaged ({error})") from error
+            raise DamagedError(f"{self.path}: index of GOP {gop} is damaged ({error})") from error
         if len(index.records) != len(self.gops[gop]):
-            raise ArchiveError(f"{self.path}: index of GOP {gop} lists {len(index.records)} scans")
+            raise DamagedError(f"{self.path}: index of GOP {gop} lists {len(index.records)} scans")
         return [time for time, _ in index.records]
 
     def layer_chunks(self) -> list[tuple[str, int, ChunkIndex]]:
@@ -153,12 +159,12 @@ class ArchiveReader:
         of_labels = [message.channel_id in self._index.label_channels for message in messages]
         scans = [place for place, behind in enumerate(of_labels) if not behind]
         if len(scans) != len(entries):
-            raise ArchiveError(f"{where}: {len(scans)} messages for {len(entries)} scans")
+            raise DamagedError(f"{where}: {len(scans)} messages for {len(entries)} scans")
         payloads = []
         for entry, place in zip(entries, scans, strict=True):
             labels = clouds[place + 1].data if any(of_labels[place + 1 : place + 2]) else b""
             if len(labels) != entry.labels:
-                raise ArchiveError(f"{where}: {len(labels)} bytes of labels, the index says {entry.labels}")
+                raise DamagedError(f"{where}: {len(labels)} bytes of labels, the index says {entry.labels}")
             cloud = clouds[place]
             payloads.append(
                 ScanPayload(entry, messages[place].log_time, cloud.frame_id, cloud.data, labels=labels)
@@ -176,7 +182,7 @@ class ArchiveReader:
         try:
             return side_file(self._file.attachment(at))
         except PARSE_ERRORS as error:
-            raise ArchiveError(f"{self.path}: {error}") from error
+            raise DamagedError(f"{self.path}: side file {name}: {error}") from error
 
     @property
     def passing_topics(self) -> list[str]:
@@ -196,7 +202,7 @@ class ArchiveReader:
                     data = read_chunk(file, chunk.chunk_start_offset + 9, chunk.chunk_length - 9)
                 yield from passing_messages(data, self.log)
             except PARSE_ERRORS as error:
-                raise ArchiveError(f"{self.path}: chunk at {chunk.chunk_start_offset}: {error}") from error
+                raise DamagedError(f"{self.path}: chunk at {chunk.chunk_start_offset}: {error}") from error
 
     def enclosed(self) -> Iterator[Enclosed]:
         """Yield the attachments and metadata of the log, in its order.
@@ -209,7 +215,7 @@ class ArchiveReader:
             try:
                 yield read_passing_enclosed(opcode, self._file.content(at.offset, opcode))
             except PARSE_ERRORS as error:
-                raise ArchiveError(f"{self.path}: {at.name}: {error}") from error
+                raise DamagedError(f"{self.path}: {at.name}: {error}") from error
 
     @property
     def has_classes(self) -> bool:
@@ -264,7 +270,7 @@ class ArchiveReader:
             while left > 0:
                 block = file.read(min(left, 1 << 20))
                 if not block:
-                    raise ArchiveError(f"{self.path}: ends early")
+                    raise DamagedError(f"{self.path}: ends early")
                 crc = zlib.crc32(block, crc)
                 left -= len(block)
         # The record has no checksum of its own, so all of it is compared.

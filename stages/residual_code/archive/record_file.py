@@ -43,7 +43,7 @@ class RecordFile:
         """Return the content of the record at a byte; raises ArchiveError where it is of another kind."""
         found, length = struct.unpack("<BQ", self.bytes_at(at, 9))
         if found != opcode:
-            raise ArchiveError(f"{self.path}: byte {at} should start a record {opcode}, holds {found}")
+            raise DamagedError(f"{self.path}: byte {at} should start a record {opcode}, holds {found}")
         return self.bytes_at(at + 9, length)
 
     def record(self, at: int, opcode: Opcode) -> ReadDataStream:

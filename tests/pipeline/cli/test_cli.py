@@ -172,7 +172,7 @@ def test_failed_scan_is_exit_code_1_and_the_others_are_done(cli: Cli, toy_root: 
         (["map", "edit", "m", "--restore", "-1,0,0,1,1,1"], ["m: not the folder of a map"]),
         (["map", "diff", "m", "n", "--out", "d"], ["m: not the folder of a map"]),
         (["train", "coder", "--data", "nowhere"], ["nowhere: not found"]),
-        (["train", "coder", "--data", ".", "--effort", "fast"], ["no sweeps to train on"]),
+        (["train", "coder", "--data", ".", "--effort", "fast"], ["no scans to train on", "--data"]),
         (["report", "nowhere"], ["no report there"]),
         (["calibrate", "nowhere", "--out", "s.json"], ["nowhere"]),
         (["calibrate", "drive.mcap", "--out", "drive.mcap"], ["a sensor model is a file NAME.json"]),

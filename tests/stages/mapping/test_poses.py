@@ -44,7 +44,7 @@ def test_inverse_undoes_a_pose() -> None:
         (["1 0 0 0 0 1 0 0 0 0 1 x"], f"Tr: {TR}", "line 1"),
         (["1 0 0 0 0 1 0 0 0 0 1 0"], None, "calib.txt: not found"),
         (["1 0 0 0 0 1 0 0 0 0 1 0"], "P0: 1", "no line `Tr:`"),
-        (["1 0 0 0 0 1 0 0 0 0 1 0"], "Tr: 2 0 0 0 0 2 0 0 0 0 2 0", "Tr is not a pose"),
+        (["1 0 0 0 0 1 0 0 0 0 1 0"], "Tr: 2 0 0 0 0 2 0 0 0 0 2 0", "`Tr:` is not a pose"),
         ([""], f"Tr: {TR}", "no pose in it"),
     ],
 )

@@ -127,7 +127,7 @@ def train_predictor(
     learn = [clip for clip in clips if clip.name != VALIDATION]
     check = [clip for clip in clips if clip.name == VALIDATION] or learn[:1]
     if not learn:
-        raise UsageError("no two consecutive scans to train on")
+        raise UsageError("no two consecutive scans to train on; name the root of some with --data")
     torch.manual_seed(recipe.seed)
     numbers = Trainable(shape.layers()).to(device)
     optimiser = torch.optim.AdamW(numbers.parameters(), recipe.rate, betas=(0.9, 0.99), weight_decay=1e-4)
