@@ -86,7 +86,7 @@ def decode_cloud(
     before: bytearray,
     modes: FieldModes,
     sensor: SensorModel | None = None,
-    told: Timeline | None = None,
+    timeline: Timeline | None = None,
 ) -> Cloud:
     """Inverse of :func:`encode_cloud`.
 
@@ -129,7 +129,7 @@ def decode_cloud(
     if cloud.whole or flags & _LOOSE:
         raw = section[at - n_loose : at]
         cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
-    known = points_of(points, cloud, sensor, told)
+    known = points_of(points, cloud, sensor, timeline)
     columns = []
     for field, base in _columns(layout, points):
         if base is not None and not exact:
@@ -145,11 +145,11 @@ def points_of(
     points: NDArray[np.float32],
     cloud: Cloud,
     sensor: SensorModel | None = None,
-    told: Timeline | None = None,
+    timeline: Timeline | None = None,
 ) -> Points:
     """What the fields of a scan are predicted from: its decoded points ``(N, 3)``, and how they lie."""
     layout = cloud.layout
-    return Points.of(points, layout.width if cloud.whole and layout.height > 1 else 0, sensor, told)
+    return Points.of(points, layout.width if cloud.whole and layout.height > 1 else 0, sensor, timeline)
 
 
 def _columns(layout: Layout, points: NDArray[np.float32]) -> list[tuple[Any, NDArray[np.float64] | None]]:

@@ -27,14 +27,14 @@ from salpcc.stages.residual_code.message.picture_records import (
 from salpcc.stages.residual_code.message.placed_records import (
     decode_column_record,
     decode_laser_record,
+    decode_timeline_record,
     decode_times_record,
-    decode_told_record,
     encode_column_record,
     encode_columns_like,
     encode_laser_record,
+    encode_timeline_record,
     encode_times_like,
     encode_times_record,
-    encode_told_record,
 )
 from salpcc.stages.residual_code.message.plain_records import decode_plain, encode_plain, encode_plain_like
 from salpcc.stages.residual_code.message.points import Points
@@ -47,8 +47,8 @@ from salpcc.stages.residual_code.message.records import (
     MULTIPLES,
     RESIDUALS,
     SYMBOLS,
+    TIMELINE,
     TIMES,
-    TOLD,
     Values,
 )
 
@@ -126,14 +126,14 @@ def _encode_known(values: Values, points: Points) -> bytes | None:
     bits = to_bits(values)
     if len(values) == 0 or (bits == bits[0]).all():
         return bytes([CONSTANT]) + values[:1].tobytes().ljust(values.dtype.itemsize, b"\0")
-    return encode_told_record(values, points)
+    return encode_timeline_record(values, points)
 
 
 _DECODE = {
     BY_LASER: decode_laser_record,
     TIMES: decode_times_record,
     COLUMNS: decode_column_record,
-    TOLD: decode_told_record,
+    TIMELINE: decode_timeline_record,
     BLENDED: decode_picture,
 }
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field, encode_like
 from salpcc.stages.residual_code.message.learned_values import LearnedField
 from salpcc.stages.residual_code.message.multiples import holds
-from salpcc.stages.residual_code.message.picture_records import learned_way
+from salpcc.stages.residual_code.message.picture_records import learned_around
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import LEARNED
 
@@ -49,7 +49,7 @@ class FieldModes:
         learned = self._of(name) if self._learns else None
         record = self._written(name, values, points, base, learned)
         if learned is not None:
-            learned.settle(learned_way(record[holds(record) :]))
+            learned.settle(learned_around(record[holds(record) :]))
         return record
 
     def _written(

@@ -31,7 +31,7 @@ _ROUNDS = 6
 _LARGEST = (1 << 39) - 1  # difference that a number holds
 _CLOCK_BITS = 64
 _SAME = (0.3, 2.0, 1e9)  # of the ticks from firing to firing; the last: only lasers tell firings
-_TRIED, _FITTED, _FINALISTS = 1 << 13, 1 << 15, 2  # points, ways
+_TRIED, _FITTED, _FINALISTS = 1 << 13, 1 << 15, 2  # points, ways of telling
 _NEAR = 1.1  # of the shortest trial; others are no finalists
 _HOPELESS = 1.5  # of the bits a point that are to be beaten, in a trial
 _COUNTED = 8  # times as far apart as there are
@@ -42,7 +42,7 @@ I64 = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Fired:
-    """What a time is told from.
+    """What a time is predicted from.
 
     Attributes:
         laser: of each point ``(N,)``; the number of lasers where there is none.
@@ -74,7 +74,7 @@ def fired_by(sensor: SensorModel, points: NDArray[np.float32]) -> Fired:
 
 @dataclass(frozen=True, eq=False)
 class Clocked:
-    """How times are told.
+    """How times follow from firings.
 
     Attributes:
         shifted: lasers have shifts.
@@ -126,7 +126,7 @@ def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, n
     """Write or read the clocks ``(N,)`` of points; ``low``, ``high``: the times that would do, of no use to a reader."""
     clock = np.int64(0)
     steps, used = np.zeros(_STEPS, np.int64), np.zeros(_STEPS, np.int64)
-    recent, told = 0, _STEPS
+    recent, last = 0, _STEPS
     for i in range(len(laser)):
         new = clock
         a, b = np.int64(0), np.int64(0)
@@ -145,11 +145,11 @@ def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, n
                 for c in range(_STEPS - 1, -1, -1):
                     if a <= clock + steps[c] <= b:
                         which = c
-                if told < _STEPS and a <= clock + steps[told] <= b and which == _STEPS:
-                    which = told
+                if last < _STEPS and a <= clock + steps[last] <= b and which == _STEPS:
+                    which = last
             c = 0
             while c < _STEPS:
-                at = 8 + told * _STEPS + c
+                at = 8 + last * _STEPS + c
                 if code_mixed_bit(writing, state, data, bits, at, bits, at, np.int64(which != c)) == 0:
                     break
                 c += 1
@@ -161,10 +161,10 @@ def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, n
                 new = wanted + went
                 c = int(used.argmin())
                 steps[c] = new - clock
-                told = _STEPS
+                last = _STEPS
             else:
                 new = clock + steps[c]
-                told = c
+                last = c
             used[c] = i
             recent = c
         else:
@@ -273,12 +273,12 @@ def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked
         steps = np.abs((np.diff(phase) + fired.ticks // 2) % fired.ticks - fired.ticks // 2)
         pace = float(np.median(steps[steps > steps.mean()])) if (steps > steps.mean()).any() else 0.0
         for same in _SAME:
-            way = _fitted(
+            clocked = _fitted(
                 Clocked(shifted, int(min(same * pace, fired.ticks)), fired.shift), few, low[part], high[part]
             )
-            coded = encode_times(few, low[part], high[part], way)
+            coded = encode_times(few, low[part], high[part], clocked)
             if coded is not None:
-                tried.append((len(coded), way))
+                tried.append((len(coded), clocked))
     best: tuple[Clocked, bytes] | None = None
     tried.sort(key=lambda found: found[0])
     if not tried or tried[0][0] * len(low) > _HOPELESS * to_beat * len(few.laser):
@@ -286,10 +286,13 @@ def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked
     for size, early in tried[:_FINALISTS]:
         if size > _NEAR * tried[0][0]:
             break
-        for way in (early, _fitted(early, more, low[fitted], high[fitted])):  # early times are rounded least
-            coded = encode_times(fired, low, high, way, ENDLESS if best is None else len(best[1]))
+        for clocked in (
+            early,
+            _fitted(early, more, low[fitted], high[fitted]),
+        ):  # early times are rounded least
+            coded = encode_times(fired, low, high, clocked, ENDLESS if best is None else len(best[1]))
             if coded is not None and (best is None or len(coded) < len(best[1])):
-                best = way, coded
+                best = clocked, coded
     return best
 
 
@@ -297,9 +300,9 @@ def _first(fired: Fired, n: int) -> Fired:
     return replace(fired, laser=fired.laser[:n], tick=fired.tick[:n])
 
 
-def _fitted(way: Clocked, fired: Fired, low: I64, high: I64) -> Clocked:
-    """The same way with the delays of these points."""
-    return replace(way, delay=_delays(fired.laser, _of(fired, way), low, high, fired.lasers))
+def _fitted(clocked: Clocked, fired: Fired, low: I64, high: I64) -> Clocked:
+    """The same with the delays of these points."""
+    return replace(clocked, delay=_delays(fired.laser, _of(fired, clocked), low, high, fired.lasers))
 
 
 def _phase(fired: Fired, shifted: bool) -> I64:
@@ -307,31 +310,35 @@ def _phase(fired: Fired, shifted: bool) -> I64:
     return (fired.tick - fired.shift[fired.laser] * int(shifted)) % fired.ticks
 
 
-def _of(fired: Fired, way: Clocked) -> NDArray[np.bool_]:
+def _of(fired: Fired, clocked: Clocked) -> NDArray[np.bool_]:
     return np.asarray(
-        _begins(fired.laser, _phase(fired, way.shifted), fired.ticks, way.apart, len(way.delay) - 1)
+        _begins(
+            fired.laser, _phase(fired, clocked.shifted), fired.ticks, clocked.apart, len(clocked.delay) - 1
+        )
     )
 
 
-def encode_times(fired: Fired, low: I64, high: I64, way: Clocked, to_beat: int = ENDLESS) -> bytes | None:
+def encode_times(fired: Fired, low: I64, high: I64, clocked: Clocked, to_beat: int = ENDLESS) -> bytes | None:
     """Encode times; None where that cannot be, or takes more than the bytes ``to_beat``."""
     out = room_for(12 * len(low) + 4096, to_beat)
     state = start_encoder()
     clocks = np.zeros(len(low), np.int64)
-    _code(True, state, out, fired.laser, way.delay, _of(fired, way), low, high, clocks, *_models())
-    told = clocks + way.delay[fired.laser]
-    if state[3] != 0 or ((told < low) | (told > high)).any():
+    _code(True, state, out, fired.laser, clocked.delay, _of(fired, clocked), low, high, clocks, *_models())
+    times = clocks + clocked.delay[fired.laser]
+    if state[3] != 0 or ((times < low) | (times > high)).any():
         return None
     return within(out, int(finish_encoder(state, out)), to_beat)
 
 
-def decode_times(fired: Fired, way: Clocked, data: bytes) -> tuple[I64, bool]:
+def decode_times(fired: Fired, clocked: Clocked, data: bytes) -> tuple[I64, bool]:
     """Inverse of :func:`encode_times`: the times ``(N,)`` as whole numbers, and whether the data made sense."""
     raw = as_array(data)
     state = start_decoder(raw)
     clocks = np.zeros(len(fired.laser), np.int64)
-    _code(False, state, raw, fired.laser, way.delay, _of(fired, way), clocks, clocks, clocks, *_models())
-    return clocks + way.delay[fired.laser], bool(state[3] == 0)
+    _code(
+        False, state, raw, fired.laser, clocked.delay, _of(fired, clocked), clocks, clocks, clocks, *_models()
+    )
+    return clocks + clocked.delay[fired.laser], bool(state[3] == 0)
 
 
 def _models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:

@@ -208,35 +208,37 @@ class LearnedField:
         self._tried: dict[int, tuple[ValueModels, Picture, int]] = {}
 
     def walk(
-        self, way: int, around: Any, tick: I64 | None, turn: int, passed: Passed | None = None
+        self, what: int, around: Any, tick: I64 | None, turn: int, passed: Passed | None = None
     ) -> ValueWalk:
         """Begin a scan with copies of what is known.
 
         Args:
-            way: of neighbourhoods; the scan before tells something where it had the same.
+            what: neighbourhoods, as :meth:`.Points.around` takes them; the scan before tells something where it had the same.
             around: as :mod:`.blended_values` takes it; ``tick``: of the points, where lasers have told theirs; ``turn``: ticks in one.
             passed: where the points were in the scan before, if their own stream tells.
         """
         void, ranges, width, laser = around[:4]
         n = len(void)
         models = copied(self._models)
-        told = tick is not None
+        linked = tick is not None
         at = np.zeros(0) if tick is None else tick.astype(np.float64)
-        links, ends = np.full((n if told else 0, 2), -1), np.full((_LASERS, 2), -1)
+        links, ends = np.full((n if linked else 0, 2), -1), np.full((_LASERS, 2), -1)
         own = Picture(at, np.zeros(n, np.int64), ranges, void, links, ends)
-        before = self._before[1] if self._before is not None and self._before[0] == way else _NOTHING
+        before = self._before[1] if self._before is not None and self._before[0] == what else _NOTHING
         there, number = np.zeros(0, np.int64), 0
         if passed is not None:
             number = passed.number
             follows = self._before is not None and self._before[2] == number - 1
-            told, there = True, passed.there if follows else np.full(n, -1)
-            if there.max(initial=-1) >= len(before.values):  # of a damaged archive, or of another way
+            linked, there = True, passed.there if follows else np.full(n, -1)
+            if there.max(initial=-1) >= len(
+                before.values
+            ):  # of a damaged archive, or by other neighbourhoods
                 there = np.full(n, -1)
-        self._tried[way] = models, own, number
+        self._tried[what] = models, own, number
         return ValueWalk(
             models,
             turn,
-            before if told or width > 0 else _NOTHING,
+            before if linked or width > 0 else _NOTHING,
             own,
             np.full((_LASERS, 1), -1),
             there,
@@ -250,11 +252,11 @@ class LearnedField:
             np.zeros(len(_CONTEXTS)),
         )
 
-    def settle(self, way: int | None) -> None:
-        """Keep what the walk of this way learned; None: of none."""
-        if way is not None:
-            models, picture, number = self._tried[way]
-            self._models, self._before = models, (way, picture, number)
+    def settle(self, what: int | None) -> None:
+        """Keep what the walk by these neighbourhoods learned; None: nothing."""
+        if what is not None:
+            models, picture, number = self._tried[what]
+            self._models, self._before = models, (what, picture, number)
         self._tried.clear()
 
 

@@ -34,11 +34,11 @@ def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
     return levels is None or len(sweep.laser) == 0 or sweep.cloud.layout.slots[3] is None
 
 
-def known_of(sweep: Sweep, sensor: SensorModel, told: Timeline | None = None) -> tuple[Scan, Points]:
-    """Return the scan of a logged sweep, and what its fields are predicted from; ``told``: by the points' own stream."""
+def known_of(sweep: Sweep, sensor: SensorModel, timeline: Timeline | None = None) -> tuple[Scan, Points]:
+    """Return the scan of a logged sweep, and what its fields are predicted from; ``timeline``: by the points' own stream."""
     assert sweep.cloud is not None
     scan = sweep_to_scan(sweep, sensor)
-    return scan, points_of(scan.points, sweep.cloud, sensor, told)
+    return scan, points_of(scan.points, sweep.cloud, sensor, timeline)
 
 
 def encode_intensity(sweep: Sweep, known: tuple[Scan, Points], modes: FieldModes) -> bytes:
@@ -73,7 +73,7 @@ def decode_logged(
     intensity: bytes | None,
     before: bytearray,
     modes: FieldModes,
-    told: Timeline | None = None,
+    timeline: Timeline | None = None,
 ) -> Sweep:
     """Return a decoded sweep with its cloud; inverse of :func:`encode_logged` and :func:`encode_intensity`.
 
@@ -84,14 +84,16 @@ def decode_logged(
         ArchiveError: a stream is damaged.
     """
     points = sweep_to_scan(sweep, sensor).points
-    cloud = decode_cloud(stream, sweep.n_points, points, sweep.max_error == 0, before, modes, sensor, told)
+    cloud = decode_cloud(
+        stream, sweep.n_points, points, sweep.max_error == 0, before, modes, sensor, timeline
+    )
     sweep = replace(sweep, cloud=cloud)
     if intensity is None:
         return sweep
     if cloud.layout.slots[3] is None:
         values = intensity_of(cloud)
     else:
-        known = _guided(points_of(points, cloud, sensor, told), cloud)
+        known = _guided(points_of(points, cloud, sensor, timeline), cloud)
         name = (cloud.topic, _INTENSITY)
         values, end = modes.decode(name, intensity, 0, np.dtype(np.float32), known)
         require_sound(end == len(intensity))

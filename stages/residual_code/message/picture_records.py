@@ -30,13 +30,13 @@ def encode_picture(
     values: Values, points: Points, learned: LearnedField | None, to_beat: int
 ) -> bytes | None:
     """A field that looks like a picture; None where its values are no whole numbers, or too large, or take more than ``to_beat`` bytes."""
-    ways = [ROWS] * (points.width > 1) + [FIRED] * points.on_lattice or [LISTED]
-    ways += [way + GUIDED for way in ways]
+    neighbourhoods = [ROWS] * (points.width > 1) + [FIRED] * points.on_lattice or [LISTED]
+    neighbourhoods += [one + GUIDED for one in neighbourhoods]
     if (
         learned is not None and points.width > 1 and values[points.void].any()
     ):  # light is seen without returns, too
-        ways.append(SKY)
-    return _encode_as(ways, values, points, learned, to_beat)
+        neighbourhoods.append(SKY)
+    return _encode_as(neighbourhoods, values, points, learned, to_beat)
 
 
 def encode_picture_like(
@@ -47,7 +47,11 @@ def encode_picture_like(
 
 
 def _encode_as(
-    ways: list[int], values: Values, points: Points, learned: LearnedField | None, to_beat: int = ENDLESS
+    neighbourhoods: list[int],
+    values: Values,
+    points: Points,
+    learned: LearnedField | None,
+    to_beat: int = ENDLESS,
 ) -> bytes | None:
     """The same by the best of these neighbourhoods."""
     if values.dtype.kind != "f":
@@ -61,7 +65,7 @@ def _encode_as(
         return None
     kind = BLENDED if learned is None else LEARNED
     best = None
-    for what in ways:
+    for what in neighbourhoods:
         around = points.around(what)
         if around is None:
             continue
@@ -77,7 +81,7 @@ def _walk(learned: LearnedField | None, what: int, around: Around, points: Point
     return None if learned is None else learned.walk(what, around, *points.ticks(what), points.passed)
 
 
-def learned_way(record: bytes) -> int | None:
+def learned_around(record: bytes) -> int | None:
     """What a record was learned around; None where it was not."""
     return int(_BLENDED.unpack_from(record, 1)[0]) if record[0] == LEARNED else None
 

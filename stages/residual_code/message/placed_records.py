@@ -1,4 +1,4 @@
-"""A field that is told from where points lie: records of kinds BY_LASER, TIMES, TOLD and COLUMNS."""
+"""A field that is told from where points lie: records of kinds BY_LASER, TIMES, TIMELINE and COLUMNS."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import (
     BY_LASER,
     COLUMNS,
+    TIMELINE,
     TIMES,
-    TOLD,
     Integers,
     Values,
     flags_of,
@@ -37,7 +37,7 @@ from salpcc.stages.residual_code.message.records import (
 
 _BY_LASER = struct.Struct("<I")  # length
 _TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
-_TOLD = struct.Struct("<BBq")  # form, power of ten, origin
+_TIMELINE = struct.Struct("<BBq")  # form, power of ten, origin
 _COLUMNS = struct.Struct("<BqII")  # void, origin, lengths of shifts and values
 
 
@@ -116,22 +116,22 @@ def decode_times_record(data: bytes, at: int, kind: np.dtype[Any], points: Point
     return from_spans(numbers, form, power, origin, kind), end
 
 
-def encode_told_record(values: Values, points: Points) -> bytes | None:
+def encode_timeline_record(values: Values, points: Points) -> bytes | None:
     """The field that the times of the points are of; None where it is another."""
-    if points.told is None or values.dtype.itemsize < 4:
+    if points.timeline is None or values.dtype.itemsize < 4:
         return None
     spans = spans_of(values)
-    if spans is None or (spans.low != points.told.time).any():
+    if spans is None or (spans.low != points.timeline.time).any():
         return None
-    return bytes([TOLD]) + _TOLD.pack(spans.form, spans.power, spans.origin)
+    return bytes([TIMELINE]) + _TIMELINE.pack(spans.form, spans.power, spans.origin)
 
 
-def decode_told_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
-    """Inverse of :func:`encode_told_record`: the values, and where the record ends; ``at``: behind its kind."""
-    (form, power, origin), at = unpacked(_TOLD, data, at)
-    if points.told is None or form > DECIMAL or power > MOST_DIGITS or kind.itemsize < 4:
+def decode_timeline_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    """Inverse of :func:`encode_timeline_record`: the values, and where the record ends; ``at``: behind its kind."""
+    (form, power, origin), at = unpacked(_TIMELINE, data, at)
+    if points.timeline is None or form > DECIMAL or power > MOST_DIGITS or kind.itemsize < 4:
         raise ArchiveError("payload does not decode")
-    return from_spans(points.told.time, form, power, origin, kind), at
+    return from_spans(points.timeline.time, form, power, origin, kind), at
 
 
 def encode_column_record(values: Values, points: Points, to_beat: int) -> bytes | None:
@@ -163,11 +163,11 @@ def _encode_columns_as(
 ) -> bytes | None:
     """The same with shifts that are known; None where values differ too much."""
     bits = to_bits(values)
-    told = small(shifts)
+    coded = small(shifts)
     stream = encode_columns(bits - bits[0], flags_of(points, void), points.width, shifts, to_beat)
     if stream is None:
         return None
-    return bytes([COLUMNS]) + _COLUMNS.pack(void, int(bits[0]), len(told), len(stream)) + told + stream
+    return bytes([COLUMNS]) + _COLUMNS.pack(void, int(bits[0]), len(coded), len(stream)) + coded + stream
 
 
 def decode_column_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:

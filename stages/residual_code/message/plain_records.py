@@ -1,9 +1,9 @@
-"""A field as integers that are told from those before them: records of kinds RESIDUALS and SYMBOLS."""
+"""A field as integers that are predicted from those before them: records of kinds RESIDUALS and SYMBOLS."""
 
 from __future__ import annotations
 
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,17 +25,30 @@ from salpcc.stages.entropy.symbols import decode_symbols, encode_symbols
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import RESIDUALS, SYMBOLS, Integers, Values, flags_of
 
-_RECORD = struct.Struct("<BBBBBII")  # form, scale, based, void, predictor, period, length
+_RECORD = struct.Struct("<BBBBBII")  # a _Head, length
 _SAMPLE = 1 << 16
-_Way = tuple[int, int, int, int, int, int]  # form, scale, based, void, predictor, period
+
+
+class _Head(NamedTuple):
+    """How a record takes its field; the length of its stream follows."""
+
+    form: int
+    scale: int
+    based: int
+    void: int
+    predictor: int
+    period: int
+
+    def bits_of(self, kind: np.dtype[Any]) -> int:
+        """Bits of its integers."""
+        return 64 if self.form == DECIMAL else 8 * kind.itemsize
 
 
 def encode_plain(values: Values, points: Points, base: Values | None) -> bytes:
     """Encode a field by the form and the prediction that cost least."""
-    width = 8 * values.dtype.itemsize
-    best: tuple[int, _Way, Integers] | None = None
+    best: tuple[int, _Head, Integers] | None = None
     for form, scale, based, integers in _forms(values, points, base):
-        bits_of = 64 if form == DECIMAL else width
+        bits_of = 64 if form == DECIMAL else 8 * values.dtype.itemsize
         wrapped = _wrap(integers, bits_of)
         for void in (0, 1) if points.void.any() else (0,):
             flags = flags_of(points, void)[:_SAMPLE]
@@ -44,45 +57,42 @@ def encode_plain(values: Values, points: Points, base: Values | None) -> bytes:
                 found = costs(wrapped[:_SAMPLE], flags, period, bits_of, least)
                 for predictor in range(PREDICTORS):
                     if best is None or found[predictor] < best[0]:
-                        way = (form, scale, based, void, predictor, period)
-                        best = int(found[predictor]), way, wrapped
+                        head = _Head(form, scale, based, void, predictor, period)
+                        best = int(found[predictor]), head, wrapped
     assert best is not None
-    _, way, integers = best
-    coded = _as_residuals(integers, points, way, width)
+    _, head, integers = best
+    coded = _as_residuals(integers, points, head, values.dtype)
     for period in points.periods:
-        other = _as_symbols(integers, points, (*way[:5], period), width, len(coded))
+        other = _as_symbols(integers, points, head._replace(period=period), values.dtype, len(coded))
         coded = coded if other is None else min(coded, other, key=len)
     return coded
 
 
 def encode_plain_like(record: bytes, values: Values, points: Points, base: Values | None) -> bytes | None:
     """The same as ``record`` has it; None where that cannot be."""
-    form, way = record[0], _RECORD.unpack_from(record, 1)[:6]
-    width = 8 * values.dtype.itemsize
+    head = _Head(*_RECORD.unpack_from(record, 1)[:6])
     for *taken, integers in _forms(values, points, base):
-        if tuple(taken) == way[:3] and way[5] in points.periods:
-            wrapped = _wrap(integers, 64 if way[0] == DECIMAL else width)
-            return (_as_residuals if form == RESIDUALS else _as_symbols)(wrapped, points, way, width)
+        if tuple(taken) == head[:3] and head.period in points.periods:
+            encode = _as_residuals if record[0] == RESIDUALS else _as_symbols
+            return encode(_wrap(integers, head.bits_of(values.dtype)), points, head, values.dtype)
     return None
 
 
-def _as_residuals(integers: Integers, points: Points, way: _Way, width: int) -> bytes:
-    form, _, _, void, predictor, period = way
-    stream = encode_residuals(
-        integers, flags_of(points, void), period, predictor, 64 if form == DECIMAL else width
-    )
-    return bytes([RESIDUALS]) + _RECORD.pack(*way, len(stream)) + stream
+def _as_residuals(integers: Integers, points: Points, head: _Head, kind: np.dtype[Any]) -> bytes:
+    flags = flags_of(points, head.void)
+    stream = encode_residuals(integers, flags, head.period, head.predictor, head.bits_of(kind))
+    return bytes([RESIDUALS]) + _RECORD.pack(*head, len(stream)) + stream
 
 
 def _as_symbols(
-    integers: Integers, points: Points, way: _Way, width: int, to_beat: int = ENDLESS
+    integers: Integers, points: Points, head: _Head, kind: np.dtype[Any], to_beat: int = ENDLESS
 ) -> bytes | None:
     """None where the integers are no symbols, or take more than the bytes ``to_beat``."""
-    symbols = integers & 255 if width == 8 else integers
+    symbols = integers & 255 if kind.itemsize == 1 else integers
     if symbols.min() < 0 or symbols.max() > 255:
         return None
-    stream = encode_symbols(symbols, flags_of(points, way[3]), way[5], to_beat)
-    return stream and bytes([SYMBOLS]) + _RECORD.pack(*way, len(stream)) + stream
+    stream = encode_symbols(symbols, flags_of(points, head.void), head.period, to_beat)
+    return stream and bytes([SYMBOLS]) + _RECORD.pack(*head, len(stream)) + stream
 
 
 def decode_plain(
@@ -90,33 +100,33 @@ def decode_plain(
 ) -> tuple[Values, int]:
     """Inverse of :func:`encode_plain`: the values, and where the record at ``at`` ends."""
     require_sound(at + 1 + _RECORD.size <= len(data))
-    form, scale, based, void, predictor, period, length = _RECORD.unpack_from(data, at + 1)
+    *fields, length = _RECORD.unpack_from(data, at + 1)
+    head = _Head(*fields)
     start = at + 1 + _RECORD.size
     sound = (
         data[at] in (RESIDUALS, SYMBOLS)
-        and form <= (DECIMAL if kind.kind == "f" else BITS)
-        and scale < len(SCALES)
-        and based < 2
-        and void < 2
-        and predictor < PREDICTORS
-        and period in points.periods
+        and head.form <= (DECIMAL if kind.kind == "f" else BITS)
+        and head.scale < len(SCALES)
+        and head.based < 2
+        and head.void < 2
+        and head.predictor < PREDICTORS
+        and head.period in points.periods
         and start + length <= len(data)
     )
     require_sound(sound)
-    width = 8 * kind.itemsize
-    flags, stream = flags_of(points, void), data[start : start + length]
+    flags, stream = flags_of(points, head.void), data[start : start + length]
     if data[at] == RESIDUALS:
-        bits_of = 64 if form == DECIMAL else width
-        integers, sound = decode_residuals(flags, period, predictor, bits_of, stream)
+        integers, sound = decode_residuals(flags, head.period, head.predictor, head.bits_of(kind), stream)
     else:
-        integers, sound = decode_symbols(flags, period, stream)
+        integers, sound = decode_symbols(flags, head.period, stream)
     require_sound(sound)
-    if based:
-        integers = integers + _base(kind, form, points, base)
-    if form == DECIMAL:
-        return from_scale(integers, scale, kind), start + length
+    if head.based:
+        integers = integers + _base(kind, head.form, points, base)
+    if head.form == DECIMAL:
+        return from_scale(integers, head.scale, kind), start + length
+    width = head.bits_of(kind)
     integers = _wrap(integers, width)
-    return from_bits(order(integers, width) if form == ORDERED else integers, kind), start + length
+    return from_bits(order(integers, width) if head.form == ORDERED else integers, kind), start + length
 
 
 def _forms(values: Values, points: Points, base: Values | None) -> list[tuple[int, int, int, Integers]]:

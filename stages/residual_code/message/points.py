@@ -33,7 +33,7 @@ class Points:
         periods: distances at which fields may repeat.
         width: of a row of an organised cloud, else 0.
         sensor: whose lattice they may lie on.
-        told: lasers and times of the points, where these are known.
+        timeline: lasers and times of the points, where these are known.
         guide: a column ``(N,)`` int64 that the field may follow from, where one is known.
     """
 
@@ -43,7 +43,7 @@ class Points:
     periods: tuple[int, ...]
     width: int = 0
     sensor: SensorModel | None = None
-    told: Timeline | None = None
+    timeline: Timeline | None = None
     guide: NDArray[np.int64] | None = None
 
     @classmethod
@@ -52,7 +52,7 @@ class Points:
         xyz: NDArray[np.float32],
         width: int,
         sensor: SensorModel | None = None,
-        told: Timeline | None = None,
+        timeline: Timeline | None = None,
     ) -> Points:
         """Derive it from decoded points; ``width`` is that of a row of an organised cloud, else 0."""
         wide = xyz.astype(np.float64)
@@ -61,13 +61,13 @@ class Points:
             void = ~((squares > 0) & (squares < 1e12))
         ranges = np.sqrt(np.where(void, 0.0, squares))
         periods = (1, width, 4 * width) if width > 1 else (1, 16, 32, 64, 128)
-        return cls(xyz, void, ranges, periods, width, sensor, told)
+        return cls(xyz, void, ranges, periods, width, sensor, timeline)
 
     @cached_property
     def fired(self) -> Fired | None:
         """Lasers and ticks of the points, of which none are known where lasers are told; None without a sensor."""
-        if self.told is not None:
-            laser = self.told.laser.astype(np.int64)
+        if self.timeline is not None:
+            laser = self.timeline.laser.astype(np.int64)
             return Fired(laser, np.zeros_like(laser), np.zeros(LASERS + 1, np.int64), 1)
         return None if self.sensor is None else fired_by(self.sensor, self.xyz)
 
@@ -101,16 +101,18 @@ class Points:
 
     def ticks(self, what: int) -> tuple[NDArray[np.int64] | None, int]:
         """Ticks ``(N,)`` of points, and those in a turn, where what lies around is of lasers that tell them; else None."""
-        if what % GUIDED != FIRED or self.told is not None or self.fired is None:
+        if what % GUIDED != FIRED or self.timeline is not None or self.fired is None:
             return None, 0
         return self.fired.tick, self.fired.ticks
 
     @property
     def passed(self) -> Passed | None:
         """Where the points were in the cloud before, if their own stream tells."""
-        return None if self.told is None else self.told.passed
+        return None if self.timeline is None else self.timeline.passed
 
     @cached_property
     def on_lattice(self) -> bool:
         """Whether lasers and ticks mean anything; to be asked by a writer only."""
-        return self.told is not None or (self.sensor is not None and lies_on(self.sensor, self.xyz, _CLOSE))
+        return self.timeline is not None or (
+            self.sensor is not None and lies_on(self.sensor, self.xyz, _CLOSE)
+        )

@@ -79,8 +79,8 @@ class Encoding:
         # Of points without a lattice, by their place in the list, which a movable layer's have not.
         moved = sweep.motion if len(sweep.laser) == 0 and self.static is None else None
         rings = None if sweep.cloud is None else self.listed.cloud.rings()  # type: ignore[union-attr]
-        told = rings is not None and rings.max(initial=0) <= 255
-        lanes = rings[self.listed.stray_index].astype(np.uint8) if told else None  # type: ignore[index]
+        fits = rings is not None and rings.max(initial=0) <= 255
+        lanes = rings[self.listed.stray_index].astype(np.uint8) if fits else None  # type: ignore[index]
         times = None
         if sweep.cloud is not None and len(sweep.laser) == 0 and self.state.timeless < _PATIENCE:
             times = times_of(self.listed.cloud)  # type: ignore[arg-type]
@@ -123,7 +123,7 @@ class Decoding:
     streams: dict[str, bytes]
     starts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64))
     hundredths: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))  # intensities
-    told: Timeline | None = None  # lasers and times of the points as their own stream tells them
+    timeline: Timeline | None = None  # lasers and times of the points as their own stream tells them
     field_of_intensity: bytes = b""  # the stream of intensities where the cloud tells how to read it
 
     @cached_property

@@ -168,11 +168,11 @@ def _written_strays(scan: Encoding) -> bytes:
 def _decode_strays(scan: Decoding, stream: bytes) -> None:
     header, sweep = scan.header, scan.sweep
     moved = header.motion if header.returns == 0 else None
-    places, points, scan.told, sound = decode_strays(
+    places, points, scan.timeline, sound = decode_strays(
         header.strays, header.max_error, as_array(stream), scan.sensor, moved, scan.state.lists
     )
     require_sound(sound)
-    if scan.told is not None:
+    if scan.timeline is not None:
         require_sound(header.returns == 0, header.flags & CLOUD)
     of_all = header.returns + header.strays + (0 if scan.static is None else len(scan.static))
     if header.strays:
@@ -268,7 +268,7 @@ def _decode_cloud(scan: Decoding, stream: bytes) -> None:
     listed = sweep if static is None else alone(sweep, movable_mask(static, sweep, scan.sensor))
     of_field = scan.field_of_intensity if scan.intensity_is_field else None
     found = logged_scan.decode_logged(
-        listed, scan.sensor, stream, of_field, scan.state.envelope, scan.state.fields, scan.told
+        listed, scan.sensor, stream, of_field, scan.state.envelope, scan.state.fields, scan.timeline
     )
     scan.sweep = replace(found, stray_index=sweep.stray_index, lead=sweep.lead)
 

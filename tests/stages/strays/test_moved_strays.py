@@ -16,7 +16,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.points import Points
-from salpcc.stages.residual_code.message.records import BY_LASER, TOLD
+from salpcc.stages.residual_code.message.records import BY_LASER, TIMELINE
 from salpcc.stages.strays.aimed.aimed_strays import OFF_LASER
 from salpcc.stages.strays.stray_coder import AIMED, MOVED, decode_strays, encode_strays, off_lattice, plan
 
@@ -64,7 +64,7 @@ def test_found_and_undone_to_the_bit(sensor: SensorModel, reference: float, scal
     assert (told.time == time).all()
     assert off_lattice(len(points), data) == (told.laser == OFF_LASER).sum() == 0
     assert len(data) < 0.6 * len(encode_strays(places, plan(points, 0.0, sensor)))
-    for values, kind in ((time.astype(np.uint32), TOLD), (ring.astype(np.uint16), BY_LASER)):
+    for values, kind in ((time.astype(np.uint32), TIMELINE), (ring.astype(np.uint16), BY_LASER)):
         known = Points.of(points, 0, sensor, told)
         coded = encode_field(values, known)
         assert coded[0] == kind

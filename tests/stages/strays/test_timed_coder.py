@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from salpcc.stages.entropy.number_forms import spans_of
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.points import Points
-from salpcc.stages.residual_code.message.records import TOLD
+from salpcc.stages.residual_code.message.records import TIMELINE
 from salpcc.stages.strays.stray_coder import TIMED, decode_strays, encode_strays, plan
 from salpcc.stages.strays.timed import timed_strays
 from salpcc.stages.strays.timeline import Timeline, decode_timeline, encode_timeline, find_timelines
@@ -100,7 +100,7 @@ def test_the_fields_that_are_told_cost_nothing(merged: Listed) -> None:
         known = Points.of(points, 0, None, told)
         for values in (times, laser.astype(np.uint16)):
             data = encode_field(values, known)
-            assert told is None or (data[0] == TOLD) == (values is times)
+            assert told is None or (data[0] == TIMELINE) == (values is times)
             assert told is None or len(data) < 100
             back, end = decode_field(data, 0, values.dtype, known)
             assert end == len(data)
