@@ -23,6 +23,7 @@ from salpcc.pipeline.cli.options import (
     stages_of,
 )
 from salpcc.pipeline.cli.run_result import execute
+from salpcc.pipeline.schedule.fork_server import start_fork_server
 from salpcc.pipeline.schedule.progress import starting
 from salpcc.schemas.config import Coder, Labels, Profile, RunConfig
 from salpcc.schemas.errors import UsageError
@@ -133,6 +134,7 @@ def sequences(
 ) -> None:
     """Encode sequences of scans, decode them again, measure, and write a report."""
     require("run", "run")
+    start_fork_server(workers, scheduler, network=labels == "network" and (classes or not keep_movable))
     with starting():
         from salpcc.pipeline.run import RunRequest
         from salpcc.stages.evaluate.baselines import names as baseline_names

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from distributed import Client, LocalCluster, Nanny, Worker
 from distributed.core import Status
 from tornado.ioloop import PeriodicCallback
 
+from salpcc.pipeline.schedule.fork_server import ENVIRONMENT, METHOD, start_fork_server
 from salpcc.pipeline.schedule.machine import cores
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.files import why
@@ -21,14 +23,6 @@ from salpcc.schemas.version import TOOL
 from salpcc.stages.memory import keep_memory
 
 _LOOK_EVERY = 1000.0  # milliseconds
-
-# One thread a worker, so that workers scale. Dask would have freed memory given back at once.
-_WORKER_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-}
 
 
 class _Nanny(Nanny):
@@ -65,7 +59,8 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
     count = workers if workers is not None else cores()
     settings: dict[str, object] = {
         "distributed.worker.daemon": True,
-        "distributed.nanny.pre-spawn-environ": _WORKER_ENVIRONMENT,
+        "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
+        "distributed.worker.multiprocessing-method": METHOD,
         "distributed.admin.tick.limit": "60s",
         "distributed.scheduler.worker-saturation": 1.0,
         # In this very process the scheduler has no address of its own, and Dask would name that of the machine.
@@ -87,6 +82,7 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
 def _local_cluster(count: int) -> LocalCluster:
     """Start the processes; raises UsageError where the machine has none to give, as without shared memory for their locks."""
     try:
+        start_fork_server(count, None)
         return LocalCluster(
             n_workers=max(count, 1),
             threads_per_worker=1,
@@ -96,8 +92,9 @@ def _local_cluster(count: int) -> LocalCluster:
             worker_dashboard_address="127.0.0.1:0",
             worker_class=_Nanny if count else None,
             silence_logs=logging.CRITICAL,
+            **{"env": dict(os.environ)} if count else {},  # the process that they are forked from may have an older one
         )
-    except RuntimeError as error:
+    except (OSError, RuntimeError) as error:
         reason: BaseException | None = error
         while reason is not None and not isinstance(reason, OSError):
             reason = reason.__cause__ or reason.__context__
