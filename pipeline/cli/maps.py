@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 
 from salpcc.pipeline.cli import map_edits as cli_edit
 from salpcc.pipeline.cli.options import BOX, Json, Scheduler, Workers, command_line, config_of, parse_box
+from salpcc.pipeline.schedule.fork_server import start_fork_server
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.stages.mapping.open3d_library import load_open3d
@@ -160,6 +161,7 @@ def map_(
     require("map", "map")
     if labels == "network":
         require("segment", "map --labels network")
+    start_fork_server(workers, scheduler, network=labels == "network")
     from salpcc.pipeline.mapping.make_map import make_map
     from salpcc.pipeline.mapping.map_export import FORMATS
     from salpcc.pipeline.mapping.map_request import MapRequest
@@ -267,6 +269,7 @@ def localise(
         return
     if against is None:
         raise UsageError("localise takes --against, the root with source scans and poses.txt, or --map")
+    start_fork_server(workers, scheduler)
     from salpcc.pipeline.mapping.localise import LocaliseRequest
     from salpcc.pipeline.mapping.localise import localise as run
     from salpcc.stages.evaluate.baselines import names as baseline_names
@@ -303,6 +306,7 @@ def _in_maps(
     scheduler: str | None,
     json_: bool,
 ) -> None:
+    start_fork_server(workers, scheduler)
     from salpcc.pipeline.mapping.localise_in_map import InMapRequest, localise_in_maps
     from salpcc.stages.evaluate.report.downstream import localisation_figures
 

@@ -92,7 +92,9 @@ def _local_cluster(count: int) -> LocalCluster:
             worker_dashboard_address="127.0.0.1:0",
             worker_class=_Nanny if count else None,
             silence_logs=logging.CRITICAL,
-            **{"env": dict(os.environ)} if count else {},  # the process that they are forked from may have an older one
+            **{"env": dict(os.environ)}
+            if count
+            else {},  # the process that they are forked from may have an older one
         )
     except (OSError, RuntimeError) as error:
         reason: BaseException | None = error

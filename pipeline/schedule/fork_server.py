@@ -15,7 +15,9 @@ ENVIRONMENT = {
     "MKL_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
 }
-METHOD = "forkserver" if sys.platform == "linux" else "spawn"  # macOS' own libraries break in a forked process
+METHOD = (
+    "forkserver" if sys.platform == "linux" else "spawn"
+)  # macOS' own libraries break in a forked process
 _LOADED = ["distributed.nanny", "salpcc.pipeline.cli.app", "salpcc.pipeline.graph.sequence"]
 _NETWORK = ["salpcc.stages.segment.checkpoint", "salpcc.stages.segment.segmenter"]
 

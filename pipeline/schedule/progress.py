@@ -76,7 +76,13 @@ def bar(total: int, unit: str, quiet: bool = False) -> Iterator[Report]:
         TextColumn("left"),
     )
     # The speed of all of the run: what is left goes down, and does not jump with each group.
-    with Progress(*columns, console=STDERR, speed_estimate_period=float("inf")) as progress:
+    with Progress(
+        *columns,
+        console=STDERR,
+        speed_estimate_period=float("inf"),
+        refresh_per_second=4,
+        auto_refresh=STDERR.is_terminal,
+    ) as progress:
         shown = _Bar(progress, total)
         if not kernels_are_kept():
             shown.say(

@@ -84,7 +84,8 @@ def workers() -> list[psutil.Process]:
     found = []
     for process in psutil.Process().children(recursive=True):
         try:
-            if "--multiprocessing-fork" in process.cmdline():
+            parent = process.parent()
+            if parent is not None and any("multiprocessing.forkserver" in part for part in parent.cmdline()):
                 found.append(process)
         except psutil.Error:
             continue

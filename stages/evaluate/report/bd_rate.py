@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 Curve = Sequence[tuple[float, float]]  # (rate, distortion), both above 0
 
@@ -29,6 +28,9 @@ def bd_rate(reference: Curve, other: Curve) -> float | None:
     high = min(distortion[-1] for distortion, _ in curves)
     if low >= high:
         return None
+    # Imported here: every worker loads this file, and none of them compares curves.
+    from scipy.interpolate import PchipInterpolator
+
     areas = [PchipInterpolator(distortion, rate).integrate(low, high) for distortion, rate in curves]
     return float(100.0 * (np.exp((areas[1] - areas[0]) / (high - low)) - 1.0))
 
