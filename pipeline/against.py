@@ -105,7 +105,7 @@ def places_in_source(
 
 
 def bounds(scan: Scan, config: dict[str, Any]) -> list[tuple[NDArray[np.bool_], float]]:
-    """Which points of a scan were asked for with which error in metres, 0 for exact."""
+    """Which points ``(N,)`` of a scan were asked for with which error in metres, 0 for exact."""
     static, movable = config.get("max_error") or 0.0, config.get("movable_max_error")
     if scan.movable is None or movable is None:
         return [(np.ones(len(scan), np.bool_), static)]

@@ -150,34 +150,12 @@ def _gather(
     errors: list[ScanError],
     started: datetime,
 ) -> None:
-    """Hand all that was measured to the report."""
-    store = ShardStore(request.out)
-    metrics, times, peak = [METRICS.empty_table()], [], 0.0
-    for outcome in outcomes:
-        for number in sorted(outcome.metrics):
-            table, facts = store.read(outcome.metrics[number])
-            metrics.append(table.replace_schema_metadata(None).cast(METRICS))
-            peak = max(peak, facts["peak_mb"])
-        if outcome.record is not None:
-            peak = max(peak, outcome.record["peak_mb"])
-            times += [(outcome.plan.sequence, *row) for row in outcome.record["times"]]
-    baselines = [BASELINES.empty_table()]
-    for ref in sorted((ref for outcome in outcomes for ref in outcome.baselines), key=lambda ref: ref.path):
-        baselines.append(store.read(ref)[0].replace_schema_metadata(None).cast(BASELINES))
-    columns = list(zip(*times, strict=True)) if times else [()] * len(TIMES)
-    lines = [(e.sequence, e.scan, e.stage, "", e.reason) for e in errors]
-    failures = list(zip(*lines, strict=True)) if lines else [()] * len(FAILURES)
-    now = {
-        "metrics": pa.concat_tables(metrics),
-        "baselines": pa.concat_tables(baselines),
-        "times": pa.table([pa.array(c, f.type) for c, f in zip(columns, TIMES, strict=True)], schema=TIMES),
-        "failures": pa.table(
-            [pa.array(c, f.type) for c, f in zip(failures, FAILURES, strict=True)], schema=FAILURES
-        ),
-    }
-    before = record.recorded_run(request.out)
+    """Hand all that was measured to the report, with what earlier runs measured of what is still there."""
+    out = request.out
+    now, peak = _measured(ShardStore(out), outcomes, errors)
+    before = record.recorded_run(out)
     measured = set(now["metrics"].column("sequence").to_pylist())
-    kept = {s for s in before.get("inputs", {}) if archive_path(request.out, s).exists()} - measured
+    kept = {s for s in before.get("inputs", {}) if archive_path(out, s).exists()} - measured
     asked = {outcome.plan.sequence for outcome in outcomes} | {error.sequence for error in errors}
     commands = {s: c for s, c in before.get("commands", {}).items() if s in kept}
     run = {
@@ -195,19 +173,50 @@ def _gather(
         "worker_peak_mb": round(peak, 1),
     }
     for name in ("metrics", "times"):
-        now[name] = record.with_earlier(request.out, name, now[name], kept)
-    baselines_ = record.with_earlier(
-        request.out, "baselines", now["baselines"], kept | measured, ("sequence", "baseline")
+        now[name] = record.with_earlier(out, name, now[name], kept)
+    baselines = record.with_earlier(
+        out, "baselines", now["baselines"], kept | measured, ("sequence", "baseline")
     )
-    now["baselines"] = baselines_.filter(record.among(baselines_, now["metrics"], ("sequence", "name")))
-    now["failures"] = record.with_earlier(request.out, "failures", now["failures"], kept - asked)
-    record.record(request.out, run, **now)
+    now["baselines"] = baselines.filter(record.among(baselines, now["metrics"], ("sequence", "name")))
+    now["failures"] = record.with_earlier(out, "failures", now["failures"], kept - asked)
+    record.record(out, run, **now)
     poses = {
         (sequence, name): pose
         for sequence in sorted(measured | kept)
-        for name, pose in held_poses(ArchiveReader(archive_path(request.out, sequence))).items()
+        for name, pose in held_poses(ArchiveReader(archive_path(out, sequence))).items()
     }
-    write_catalogue(catalogue_of(now["metrics"], poses), request.out)
+    write_catalogue(catalogue_of(now["metrics"], poses), out)
+
+
+def _measured(
+    store: ShardStore, outcomes: list[Outcome], errors: list[ScanError]
+) -> tuple[dict[str, pa.Table], float]:
+    """The tables of this run, by the names that the report has for them; and the most memory of a worker, MB."""
+    metrics = [METRICS.empty_table()]
+    times: list[tuple[Any, ...]] = []
+    peak = 0.0
+    for outcome in outcomes:
+        for number in sorted(outcome.metrics):
+            table, facts = store.read(outcome.metrics[number])
+            metrics.append(table.replace_schema_metadata(None).cast(METRICS))
+            peak = max(peak, facts["peak_mb"])
+        if outcome.record is not None:
+            peak = max(peak, outcome.record["peak_mb"])
+            times += [(outcome.plan.sequence, *row) for row in outcome.record["times"]]
+    baselines = sorted((ref for outcome in outcomes for ref in outcome.baselines), key=lambda ref: ref.path)
+    failures = [(e.sequence, e.scan, e.stage, "", e.reason) for e in errors]
+    return {
+        "metrics": pa.concat_tables(metrics),
+        "baselines": store.together(baselines, BASELINES),
+        "times": _table(times, TIMES),
+        "failures": _table(failures, FAILURES),
+    }, peak
+
+
+def _table(rows: list[tuple[Any, ...]], schema: pa.Schema) -> pa.Table:
+    """Lay rows out as a table, their values in the order of its columns."""
+    named = [dict(zip(schema.names, row, strict=True)) for row in rows]
+    return pa.Table.from_pylist(named, schema=schema)
 
 
 def _notes(config: RunConfig, earlier: dict[str, str]) -> list[str]:

@@ -206,7 +206,7 @@ def table_to_movable_predictions(table: pa.Table) -> list[Prediction] | None:
 
 
 def list_column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
-    """Build a list column from arrays without going through Python objects (NaN bits are kept)."""
+    """Build a list column from arrays of any shape, flattened, without going through Python objects (NaN bits are kept)."""
     flat = [np.empty(0) if v is None else np.ascontiguousarray(v).ravel() for v in values]
     dtype = kind.value_type.to_pandas_dtype()
     joined = np.concatenate([f.astype(dtype, copy=False) for f in flat]) if flat else np.empty(0, dtype)
@@ -219,7 +219,7 @@ def list_column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Arra
 
 
 def list_array(table: pa.Table, column: str, row: int) -> NDArray[Any] | None:
-    """The array in a list column of one row, or None where it is null.
+    """The array ``(n,)`` in a list column of one row, or None where it is null.
 
     A copy: Arrow's memory is read-only, and numba would compile every kernel a second time for it.
     """

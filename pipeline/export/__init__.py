@@ -16,7 +16,7 @@ from salpcc.pipeline.export.ply import ply_of
 from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.schemas.extras import require
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.point_cloud import free_name, scan_columns
+from salpcc.stages.ingest.point_cloud import add_column, scan_columns
 
 
 class Export(Protocol):
@@ -41,9 +41,9 @@ def to_ply(archive: Archive, scans: Iterator[Scan], out: Path, tell: Tell = in_s
         path = out / archive.sequence / f"{scan.name}.ply"
         columns = scan_columns(scan)
         if scan.classes is not None:
-            columns[free_name("class", set(columns)) if "class" in columns else "class"] = scan.classes
+            add_column(columns, "class", scan.classes)
         if scan.labels is not None:
-            columns[free_name("label", set(columns)) if "label" in columns else "label"] = scan.labels
+            add_column(columns, "label", scan.labels)
         write_new(path, ply_of(columns), "points are")
         yield path
     tell_what_stays(archive, "ply", tell)

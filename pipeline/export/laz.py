@@ -28,7 +28,7 @@ from salpcc.pipeline.export.tell import Tell, in_silence
 from salpcc.schemas.extras import require
 from salpcc.schemas.labels import ASPRS_OF_CLASS, CLASSES
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.point_cloud import free_name, scan_columns
+from salpcc.stages.ingest.point_cloud import add_column, free_name, scan_columns
 
 if TYPE_CHECKING:
     import laspy
@@ -92,7 +92,7 @@ def _file(archive: Archive, scan: Scan, factor: int, system: Any) -> _File:
 
     columns = scan_columns(scan)
     if scan.labels is not None:
-        columns[free_name("label", set(columns)) if "label" in columns else "label"] = scan.labels
+        add_column(columns, "label", scan.labels)
     xyz = np.column_stack([columns.pop(axis).astype(np.float64) for axis in "xyz"])
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.creation_date = date(1970, 1, 1) + timedelta(

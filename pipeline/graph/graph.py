@@ -122,7 +122,8 @@ class Graph:
         unread = [gop for gop in plan.gops if not all_known(gop, self._config)]
         work = [(gop, self._config) for gop in unread]
         what = [f"digest of {gop.sequence}-{gop.number:05d}" for gop in unread]
-        read = {unread[at].number: digest for at, digest in each(self._client, source_digest, work, what)}
+        digests = each(self._client, source_digest, work, what)
+        read = {gop.number: digest for gop, digest in zip(unread, digests, strict=True)}
         return [read.get(gop.number) or source_digest(gop, self._config) for gop in plan.gops]
 
     def _chain(self, gop: GopSource) -> Future[Any]:

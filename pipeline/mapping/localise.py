@@ -80,17 +80,15 @@ def localise(request: LocaliseRequest) -> pa.Table:
             if reader.facts.config.get("max_error")
         ]
         rivals: dict[str, list[Rival]] = {}
-        for at, rival in each(client, calibrate, asked, [f"calibrate-{Path(a[0]).stem}" for a in asked]):
-            rivals.setdefault(ArchiveReader(asked[at][0]).facts.sequence, []).append(rival)
+        found = each(client, calibrate, asked, [f"calibrate-{Path(a[0]).stem}" for a in asked])
+        for (archive, *_), rival in zip(asked, found, strict=True):
+            rivals.setdefault(ArchiveReader(archive).facts.sequence, []).append(rival)
         ordered = {k: tuple(sorted(v, key=lambda r: (r.name, r.max_error))) for k, v in rivals.items()}
         work = [(s, ordered.get(s.sequence, ()), request.thin, request.out) for s in stretches]
-        tables: dict[int, pa.Table] = {}
         names = [f"register-{s.sequence}-{s.pairs[0][0]}" for s in stretches]
-        for at, ref in each(client, register_stretch, work, names):
-            tables[at] = ShardStore(request.out).read(ref)[0].replace_schema_metadata(None)
-            stretch = stretches[at]
-            report.advance(len(stretch.pairs), f"{stretch.sequence}: registered from {stretch.pairs[0][0]}")
-    table = pa.concat_tables([tables[at].cast(REGISTRATION) for at in range(len(work))])
+        told = [(len(s.pairs), f"{s.sequence}: registered from {s.pairs[0][0]}") for s in stretches]
+        refs = each(client, register_stretch, work, names, report, told)
+        table = ShardStore(request.out).together(refs, REGISTRATION)
     record.record(request.out, registration=table)
     return table
 

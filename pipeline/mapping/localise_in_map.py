@@ -117,11 +117,10 @@ def localise_in_maps(request: InMapRequest) -> pa.Table:
                 "all scans are of the maps, and fit what is there of themselves; map a part of the drive to localise the rest"
             )
         work = [(g, request.maps, told, frame, reach, request.out) for g in groups]
-        tables: dict[int, pa.Table] = {}
-        for at, ref in each(client, localise_group, work, [f"localise-{g.names[0]}" for g in groups]):
-            tables[at] = ShardStore(request.out).read(ref)[0].replace_schema_metadata(None)
-            report.advance(sum(groups[at].chosen), f"localised from {groups[at].names[0]}")
-    table = pa.concat_tables([tables[at].cast(LOCALISATION) for at in range(len(work))])
+        what = [f"localise-{g.names[0]}" for g in groups]
+        steps = [(sum(g.chosen), f"localised from {g.names[0]}") for g in groups]
+        refs = each(client, localise_group, work, what, report, steps)
+        table = ShardStore(request.out).together(refs, LOCALISATION)
     record.record(request.out, localisation=table)
     return table
 

@@ -43,15 +43,13 @@ def track_all(client: Client, plan: MapPlan, request: MapRequest, report: Report
     Raises:
         SourceError: given poses are not the poses of these scans; or registration loses the way.
     """
-    prepared: dict[int, Prepared] = {}
     work = [(group, request.config, request.out) for group in plan.groups]
-    for at, result in each(client, prepare_group, work, [f"prepare-{g.number:05d}" for g in plan.groups]):
-        prepared[at] = result
-        names = plan.groups[at].names
-        report.advance(len(names), f"{plan.groups[at].sequence}: read scans {names[0]} to {names[-1]}")
-    ordered = [prepared[at] for at in range(len(work))]
-    whole = (plan.groups, ordered, request.config.refine_poses, request.out)
-    [(_, ref)] = each(client, track, [whole], ["track"])
+    names = [f"prepare-{g.number:05d}" for g in plan.groups]
+    prepared: list[Prepared] = each(
+        client, prepare_group, work, names, report, _steps(plan.groups, "read scans")
+    )
+    whole = (plan.groups, prepared, request.config.refine_poses, request.out)
+    [ref] = each(client, track, [whole], ["track"])
     found = read_track(request.out, ref)
     _refuse_foreign(plan, found.agreements)
     if found.moved_already:
@@ -60,7 +58,7 @@ def track_all(client: Client, plan: MapPlan, request: MapRequest, report: Report
         )
     if found.agreements:
         report.say(told(found.check))
-    return found, sum(p.cpu_ms for p in ordered) + found.cpu_ms
+    return found, sum(p.cpu_ms for p in prepared) + found.cpu_ms
 
 
 def told(check: PoseCheck) -> str:
@@ -114,7 +112,7 @@ def tune_all(client: Client, plan: MapPlan, found: Track, request: MapRequest, r
     report.say(
         f"{plan.sequence}: tuned on scans {names[part][0]} to {names[part][-1]}, with movers pasted into them"
     )
-    [(_, ref)] = each(client, tune_stretch, [work], ["tune"])
+    [ref] = each(client, tune_stretch, [work], ["tune"])
     return read_trials(request.out, ref)
 
 
@@ -126,18 +124,14 @@ def gather_all(
     Raises:
         UsageError: none does.
     """
-    submaps: dict[int, Submap] = {}
     chosen = list(near(plan, found, request))
     if not chosen:
         raise UsageError(_nowhere(plan, found, request))
     report.advance(plan.n_scans - sum(len(group.names) for group, _ in chosen), f"{plan.sequence}: placed")
     work = [(group, *found.of(own), request.config, request.out) for group, own in chosen]
-    for at, submap in each(client, gather_group, work, [f"gather-{group.number:05d}" for group, _ in chosen]):
-        submaps[at] = submap
-        group, _ = chosen[at]
-        names = group.names
-        report.advance(len(names), f"{group.sequence}: gathered scans {names[0]} to {names[-1]}")
-    return [submaps[at] for at in range(len(work))]
+    names = [f"gather-{group.number:05d}" for group, _ in chosen]
+    steps = _steps([group for group, _ in chosen], "gathered scans")
+    return each(client, gather_group, work, names, report, steps)
 
 
 def near(plan: MapPlan, found: Track, request: MapRequest) -> Iterator[tuple[Group, slice]]:
@@ -183,11 +177,12 @@ def build_all(
         request.out,
     )
     work = [(tile, parts_of(tile, submaps, size), *facts) for tile in names]
-    found: dict[int, TileResult] = {}
-    for at, result in each(client, build_tile, work, [f"tile-{tile.name}" for tile in names]):
-        found[at] = result
-        report.advance(_share(plan.n_scans, len(found), len(work)), f"{plan.sequence}: tile {names[at].name}")
-    results = [found[at] for at in range(len(work))]
+    steps = [
+        (_share(plan.n_scans, at, len(work)), f"{plan.sequence}: tile {tile.name}")
+        for at, tile in enumerate(names, start=1)
+    ]
+    what = [f"tile-{tile.name}" for tile in names]
+    results: list[TileResult] = each(client, build_tile, work, what, report, steps)
     clear(request, {result.tile.name for result in results if result.kept})
     return results
 
@@ -208,29 +203,32 @@ def score_all(
     work = [
         (group, refs[group.number], *found.of(own), request.config, box, request.out) for group, own in chosen
     ]
-    truths: dict[int, TruthRef] = {}
-    for place, truth in each(client, truth_group, work, [f"truth-{g.number:05d}" for g, _ in chosen]):
-        truths[place] = truth
-        report.advance(len(chosen[place][0].names), f"{chosen[place][0].sequence}: labels read")
-    ordered = [truths[place] for place in range(len(work))]
+    names = [f"truth-{g.number:05d}" for g, _ in chosen]
+    steps = _steps([group for group, _ in chosen], "read labels of scans")
+    truths: list[TruthRef] = each(client, truth_group, work, names, report, steps)
     jobs = [
         (
             t.tile,
             t.ref,
-            [truth for truth in ordered if (t.tile.x, t.tile.y) in truth.tiles],
+            [truth for truth in truths if (t.tile.x, t.tile.y) in truth.tiles],
             request.config,
             request.out,
         )
         for t in tiles
     ]
     total: dict[str, Tally] = {}
-    for _, counts in each(client, tally_tile, jobs, [f"tally-{t.tile.name}" for t in tiles]):
-        total = {name: total.get(name, Tally()) + count for name, count in counts.items()}
+    for counts in each(client, tally_tile, jobs, [f"tally-{t.tile.name}" for t in tiles]):
+        total = {name: total.get(name, Tally()) + tally for name, tally in counts.items()}
     every = [ref for group, _ in chosen for ref in refs[group.number]]
     whole = found.of(np.concatenate([np.r_[own] for _, own in chosen]))
-    rivals = [(name, every, *whole, ordered, request.config, request.out) for name in request.rivals]
-    beside = {request.rivals[at]: result for at, result in each(client, rival_tally, rivals, request.rivals)}
+    rivals = [(name, every, *whole, truths, request.config, request.out) for name in request.rivals]
+    beside = dict(zip(request.rivals, each(client, rival_tally, rivals, request.rivals), strict=True))
     return quality_rows(total, plan, tiles, cpu_s) + rival_rows(plan, beside)
+
+
+def _steps(groups: Sequence[Group], doing: str) -> list[tuple[int, str]]:
+    """What a bar is told of each group."""
+    return [(len(g.names), f"{g.sequence}: {doing} {g.names[0]} to {g.names[-1]}") for g in groups]
 
 
 def _share(total: int, done: int, of: int) -> int:

@@ -19,6 +19,7 @@ from distributed import Client, Future, as_completed
 from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
+from salpcc.pipeline.schedule.progress import Report
 from salpcc.schemas.errors import SalpccError, WorkersDiedError
 from salpcc.schemas.files import unreachable, why
 
@@ -68,9 +69,18 @@ class Flow(Generic[T]):
 
 
 def each(
-    client: Client, function: Callable[..., Any], work: Sequence[tuple[Any, ...]], what: Sequence[str]
-) -> Iterator[tuple[int, Any]]:
-    """Yield ``(index, function(*work[index]))`` as results come in; ``what`` names each piece in errors.
+    client: Client,
+    function: Callable[..., Any],
+    work: Sequence[tuple[Any, ...]],
+    what: Sequence[str],
+    report: Report | None = None,
+    steps: Sequence[tuple[int, str]] = (),
+) -> list[Any]:
+    """Return ``function(*arguments)`` of all pieces of work, in their order.
+
+    Args:
+        what: names each piece in errors.
+        report, steps: who is told, when each piece is done, what :meth:`.Report.advance` takes of it.
 
     Raises:
         SalpccError: as :func:`value_of`; or the scheduler is gone.
@@ -78,8 +88,12 @@ def each(
     flow: Flow[int] = Flow(client)
     for at, arguments in enumerate(work):
         flow.waiting.append((partial(flow.submit, f"{what[at]}-{at}", function, *arguments), at))
+    results: dict[int, Any] = {}
     for at, future in flow:
-        yield at, value_of(future, what[at])
+        results[at] = value_of(future, what[at])
+        if report is not None:
+            report.advance(*steps[at])
+    return [results[at] for at in range(len(work))]
 
 
 def value_of(future: Future[Any], what: str) -> Any:

@@ -56,6 +56,15 @@ class ShardStore:
         """
         return self._read(ref, facts_only=False)
 
+    def together(self, refs: Iterable[ShardRef], schema: pa.Schema) -> pa.Table:
+        """Read shards as one table of a schema.
+
+        Raises:
+            ShardError: as in :meth:`read`.
+        """
+        tables = [self.read(ref)[0].replace_schema_metadata(None).cast(schema) for ref in refs]
+        return pa.concat_tables([schema.empty_table(), *tables])
+
     def facts(self, ref: ShardRef) -> dict[str, Any]:
         """Read the facts of a shard only.
 

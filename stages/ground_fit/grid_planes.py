@@ -77,7 +77,7 @@ def ground_of(sweep: GridSweep) -> NDArray[np.bool_]:
 
 
 def fit_ground(sweep: GridSweep) -> NDArray[np.int32]:
-    """Return the best plane of each region with enough ground, rows of region, height and slopes in units.
+    """Return the best plane of each region with enough ground, rows ``(P, 4)`` of region, height and slopes in units.
 
     Candidates are the plane of all the region's ground points, and those of the points near it; the one whose
     ranges are nearest wins, counted in bits.

@@ -124,6 +124,11 @@ def scan_columns(scan: Scan) -> dict[str, NDArray[Any]]:
     return columns
 
 
+def add_column(columns: dict[str, NDArray[Any]], name: str, values: NDArray[Any]) -> None:
+    """Add values ``(N,)`` to the columns of a scan, under another name where a field has this one."""
+    columns[free_name(name, set(columns)) if name in columns else name] = values
+
+
 def free_name(name: str, taken: set[str]) -> str:
     """Return NAME_1, or the first such name that is not taken, and take it."""
     free = next(f"{name}_{n}" for n in count(1) if f"{name}_{n}" not in taken)

@@ -22,7 +22,7 @@ Column = NDArray[np.float64]
 
 
 def ordered_bits(values: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Map float32 to integers in the order of the values, neighbours one apart (-0.0 is -1)."""
+    """Map float32 of any shape to integers in the order of the values, neighbours one apart (-0.0 is -1)."""
     bits = values.view(np.int32).astype(np.int64)
     return np.where(bits < 0, bits ^ 0x7FFFFFFF, bits)
 

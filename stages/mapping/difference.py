@@ -169,7 +169,7 @@ class _Shape:
 
 
 def turned(pose: F64) -> float:
-    """Return by how many degrees a pose turns."""
+    """Return by how many degrees a pose ``(4, 4)`` turns."""
     return rotation_error(pose, np.eye(4))
 
 

@@ -89,7 +89,7 @@ def move(points: NDArray[np.floating], pose: F64) -> F64:
 
 
 def inverse(pose: F64) -> F64:
-    """Return the pose that undoes ``pose``."""
+    """Return the pose ``(4, 4)`` that undoes ``pose``."""
     out = np.eye(4)
     out[:3, :3] = pose[:3, :3].T
     out[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
@@ -97,7 +97,7 @@ def inverse(pose: F64) -> F64:
 
 
 def proper(pose: F64) -> F64:
-    """Return the pose nearest to a matrix whose rotation is off by rounding: in a long chain that grows."""
+    """Return the pose ``(4, 4)`` nearest to a matrix whose rotation is off by rounding: in a long chain that grows."""
     out = pose.copy()
     left, _, right = np.linalg.svd(pose[:3, :3])
     out[:3, :3] = left @ right

@@ -20,7 +20,7 @@ _NORMALS = (1.0, 30)  # metres, and neighbours at most, that a normal is taken f
 
 
 def rotation_error(found: F64, truth: F64) -> float:
-    """Return the angle between two poses in degrees, eq. (26).
+    """Return the angle between two poses ``(4, 4)`` in degrees, eq. (26).
 
     From the sine and cosine both: the arc cosine alone knows no angle below 1e-6 degrees.
     """
@@ -30,7 +30,7 @@ def rotation_error(found: F64, truth: F64) -> float:
 
 
 def translation_error(found: F64, truth: F64) -> float:
-    """Return the distance between two poses in units of :data:`RESOLUTION`, eq. (27)."""
+    """Return the distance between two poses ``(4, 4)`` in units of :data:`RESOLUTION`, eq. (27)."""
     return float(np.linalg.norm(found[:3, 3] - truth[:3, 3]) / RESOLUTION)
 
 

@@ -50,7 +50,7 @@ def class_confusion(truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> N
 
 
 def intersection_over_union(counts: NDArray[np.int64], names: Sequence[str]) -> Mapping[str, float]:
-    """IoU, eq. (21), of each class that occurs in the truth or in the prediction."""
+    """IoU, eq. (21), from counts ``(C, C)``, of each class that occurs in the truth or in the prediction."""
     hit = np.diag(counts)
     union = counts.sum(axis=0) + counts.sum(axis=1) - hit
     return {name: float(hit[i] / union[i]) for i, name in enumerate(names) if union[i] > 0}

@@ -65,7 +65,7 @@ def point_errors(source: NDArray[np.float32], decoded: NDArray[np.float32]) -> P
 
 
 def same_bits(source: NDArray[np.float32], decoded: NDArray[np.float32]) -> bool:
-    """Tell whether two float32 arrays are equal bit for bit (so NaN equals itself, and 0 is not -0)."""
+    """Tell whether two float32 arrays of any shape are equal bit for bit (so NaN equals itself, and 0 is not -0)."""
     return source.shape == decoded.shape and bool(
         np.array_equal(
             np.ascontiguousarray(source).view(np.uint32), np.ascontiguousarray(decoded).view(np.uint32)
@@ -74,7 +74,7 @@ def same_bits(source: NDArray[np.float32], decoded: NDArray[np.float32]) -> bool
 
 
 def symmetric_distance(source: NDArray[np.float32], decoded: NDArray[np.float32]) -> float:
-    """Return D_d, eq. (24): the mean of both one-way mean *squared* nearest distances (25), square metres.
+    """Return D_d of points ``(N, 3)`` and ``(M, 3)``, eq. (24): the mean of both one-way mean *squared* nearest distances (25), square metres.
 
     Points that are not finite are left out. NaN where one side has no finite point, 0 where neither has.
     """

@@ -41,7 +41,7 @@ class Shots:
 
 
 def firing_ticks(ticks_per_turn: int, rate: float, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return the encoder ticks of a turn's firings.
+    """Return the encoder ticks ``(F,)`` of a turn's firings.
 
     The lasers fire at a fixed interval and the encoder reports whole ticks: steps of 2, every
     sixth or seventh a 1. The seam of the turn lies behind the car.

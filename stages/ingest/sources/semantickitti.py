@@ -73,7 +73,7 @@ def read_times(path: Path) -> list[int | None] | None:
 
 
 def read_classes(ref: ScanRef, n_points: int) -> NDArray[np.uint8]:
-    """Read the class of each point from the ``.label`` file (uint32, lower 16 bits are the class).
+    """Read the class ``(N,)`` of each point from the ``.label`` file (uint32, lower 16 bits are the class).
 
     Raises:
         SourceError: no labels, not one per point, or an unknown label.

@@ -74,7 +74,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 def read_points_with_rings(
     path: Path,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64] | None]:
-    """Read nuScenes' ``.pcd.bin``, float32 x, y, z, intensity, ring: points, intensity, rings; None where the fifth number is no ring.
+    """Read nuScenes' ``.pcd.bin``, float32 x, y, z, intensity, ring: points ``(N, 3)``, intensity and rings ``(N,)``; None where the fifth number is no ring.
 
     Raises:
         SourceError: unreadable, or the size is not a multiple of 20 bytes.

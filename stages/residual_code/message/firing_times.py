@@ -319,7 +319,7 @@ def _of(fired: Fired, clocked: Clocked) -> NDArray[np.bool_]:
 
 
 def encode_times(fired: Fired, low: I64, high: I64, clocked: Clocked, to_beat: int = ENDLESS) -> bytes | None:
-    """Encode times; None where that cannot be, or takes more than the bytes ``to_beat``."""
+    """Encode times between ``low`` and ``high`` ``(N,)``; None where that cannot be, or takes more than the bytes ``to_beat``."""
     out = room_for(12 * len(low) + 4096, to_beat)
     state = start_encoder()
     clocks = np.zeros(len(low), np.int64)

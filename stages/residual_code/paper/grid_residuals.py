@@ -106,7 +106,7 @@ def from_residuals(
 
 
 def ground_first(ground: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the order in which residuals are coded: those of ground, then the others, row by row."""
+    """Return the order ``(M,)`` in which residuals are coded: those of ground, then the others, row by row."""
     return np.argsort(~ground, kind="stable")
 
 

@@ -80,7 +80,8 @@ def unpack(data: bytes) -> tuple[Header, dict[str, bytes]]:
     if zlib.crc32(data[: -_CRC.size]) != crc:
         raise ArchiveError("payload is damaged (checksum differs)")
     fields = fixed.unpack_from(data)
-    version, flags, effort, reserved, n_points, returns, strays, step = fields[:8]
+    version, flags, effort, reserved, n_points, returns, strays, step, *more = fields
+    max_error, millimetre_reach, ulp_reach, content_crc, weights, *given = more
     if version != CODEC_VERSION:
         raise ArchiveError(f"payload has codec version {version}, this tool reads {CODEC_VERSION}")
     position = fixed.size
@@ -90,7 +91,7 @@ def unpack(data: bytes) -> tuple[Header, dict[str, bytes]]:
             raise ArchiveError("payload is truncated")
         motion = np.array(SIX.unpack_from(data, position))
         position += SIX.size
-    lengths = dict(zip(always, fields[13:], strict=True))
+    lengths = dict(zip(always, given, strict=True))
     for row in rows:
         if flags & row.flag:
             if len(data) < position + _LENGTH.size + _CRC.size:
@@ -104,8 +105,8 @@ def unpack(data: bytes) -> tuple[Header, dict[str, bytes]]:
         and reserved == 0
         and returns + strays <= n_points <= MAX_POINTS
         and 1 <= step < 1 << 16
-        and all(np.isfinite(fields[8:11]))
-        and (fields[8] > 0 or (fields[8] == 0 and step == 1))
+        and all(np.isfinite((max_error, millimetre_reach, ulp_reach)))
+        and (max_error > 0 or (max_error == 0 and step == 1))
         and (motion is None or bool(np.isfinite(motion).all()))
         and position + sum(lengths.values()) + _CRC.size == len(data)
     )
@@ -118,11 +119,11 @@ def unpack(data: bytes) -> tuple[Header, dict[str, bytes]]:
         returns=returns,
         strays=strays,
         step=step,
-        max_error=fields[8],
-        millimetre_reach=fields[9],
-        ulp_reach=fields[10],
-        content_crc=fields[11],
-        weights=fields[12],
+        max_error=max_error,
+        millimetre_reach=millimetre_reach,
+        ulp_reach=ulp_reach,
+        content_crc=content_crc,
+        weights=weights,
         motion=motion,
     )
     streams = {}

@@ -12,6 +12,7 @@ from distributed import Client
 
 from salpcc.pipeline.schedule.cluster import connect
 from salpcc.pipeline.schedule.flow import Flow, each, value_of
+from salpcc.pipeline.schedule.progress import Silent
 from salpcc.schemas.errors import SalpccError, WorkersDiedError
 
 
@@ -21,9 +22,17 @@ def client() -> Iterator[Client]:
         yield client
 
 
-def test_each_piece_comes_back_with_its_place(client: Client) -> None:
+def test_pieces_come_back_in_their_order(client: Client) -> None:
     work = [(n, 10) for n in range(9)]
-    assert dict(each(client, pow, work, list("abcdefghi"))) == {n: n**10 for n in range(9)}
+    told: list[int] = []
+
+    class Told(Silent):
+        def advance(self, scans: int, doing: str) -> None:
+            told.append(scans)
+
+    steps = [(n, "counted") for n in range(9)]
+    assert each(client, pow, work, list("abcdefghi"), Told(), steps) == [n**10 for n in range(9)]
+    assert sorted(told) == list(range(9))
 
 
 def test_pieces_begin_as_queued_and_more_may_be_queued_first(client: Client) -> None:
@@ -72,7 +81,7 @@ def test_what_a_task_raises_is_said(
     client: Client, task: Callable[[int], None], error: type[Exception], said: str
 ) -> None:
     with pytest.raises(error, match=said):
-        list(each(client, task, [(1,)], ["piece"]))
+        each(client, task, [(1,)], ["piece"])
 
 
 def test_a_scheduler_that_is_gone_is_said(client: Client) -> None:
@@ -95,5 +104,5 @@ def test_what_workers_keep_dying_of_is_named(tmp_path: Path) -> None:
         with pytest.raises(
             WorkersDiedError, match=r"^tile 3: workers died 1 times on it .* fewer --workers$"
         ) as info:
-            list(each(client, _die, [(1,)], ["tile 3"]))
+            each(client, _die, [(1,)], ["tile 3"])
         assert info.value.reason == "workers died 1 times on it (out of memory?)"
