@@ -112,8 +112,8 @@ def segment(
     The defaults are the recipe of the shipped weights: three phases, simulated vehicles pasted in.
     """
     require("segment", "train segment")
-    from salpcc.stages.segment.checkpoint import load_cached
-    from salpcc.stages.segment.network import WIDTHS
+    from salpcc.stages.segment.network.checkpoint import load_cached
+    from salpcc.stages.segment.network.multimodal import WIDTHS
     from salpcc.stages.segment.training.donors import simulated_donors
     from salpcc.stages.segment.training.labelled import list_labelled, split_labelled
     from salpcc.stages.segment.training.loop import train_segment

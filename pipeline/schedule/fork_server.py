@@ -19,7 +19,7 @@ METHOD = (
     "forkserver" if sys.platform == "linux" else "spawn"
 )  # macOS' own libraries break in a forked process
 _LOADED = ["distributed.nanny", "salpcc.pipeline.cli.app", "salpcc.pipeline.graph.sequence"]
-_NETWORK = ["salpcc.stages.segment.checkpoint", "salpcc.stages.segment.segmenter"]
+_NETWORK = ["salpcc.stages.segment.network.checkpoint", "salpcc.stages.segment.segmenter"]
 
 
 def start_fork_server(workers: int | None, scheduler: str | None, network: bool = False) -> None:

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.schemas.labels import CLASSES
-from salpcc.stages.segment.range_image import RANGE, RangeImage, wrapped
+from salpcc.stages.segment.network.range_image import RANGE, RangeImage, wrapped
 
 _WINDOW = 2  # pixels to each side
 _NEAREST = 5

@@ -72,7 +72,7 @@ def network_classes(
         WeightsError: its weights cannot be had.
     """
     # Imported here: a process that asks no network has no use for torch's hundred megabytes.
-    from salpcc.stages.segment.checkpoint import load_cached
+    from salpcc.stages.segment.network.checkpoint import load_cached
     from salpcc.stages.segment.segmenter import segment_scan
 
     network = load_cached(weights_path(weights), device)

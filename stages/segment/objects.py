@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from salpcc.schemas.labels import CLASSES, GROUND, MOVABLE
-from salpcc.stages.segment.range_image import HEIGHT, RANGE, wrapped
+from salpcc.stages.segment.network.range_image import HEIGHT, RANGE, wrapped
 from salpcc.stages.segment.segmenter import Segmentation
 
 F32 = NDArray[np.float32]

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from salpcc.schemas.labels import MOVABLE
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.range_image import RANGE, nearest_cone, wrapped
+from salpcc.stages.segment.network.range_image import RANGE, nearest_cone, wrapped
 from salpcc.stages.segment.segmenter import Segmentation
 
 F32 = NDArray[np.float32]

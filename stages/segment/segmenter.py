@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from salpcc.schemas.labels import GROUP_OF_CLASS
 from salpcc.stages.segment.back_projection import classes_of_points
 from salpcc.stages.segment.class_shares import AS_IN_STREETS
-from salpcc.stages.segment.network import N_CLASSES
+from salpcc.stages.segment.network.multimodal import N_CLASSES
+from salpcc.stages.segment.network.quantised import LabellingNetwork
+from salpcc.stages.segment.network.range_image import RangeImage, project
 from salpcc.stages.segment.probabilities import group_probabilities
-from salpcc.stages.segment.quantised import LabellingNetwork
-from salpcc.stages.segment.range_image import RangeImage, project
 
 F32 = NDArray[np.float32]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.labels import GROUND, MOVABLE, OTHER
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.range_image import HEIGHT, nearest_cone
+from salpcc.stages.segment.network.range_image import HEIGHT, nearest_cone
 from salpcc.stages.segment.segmenter import Segmentation
 
 F32 = NDArray[np.float32]

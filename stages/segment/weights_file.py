@@ -1,4 +1,4 @@
-"""Where the weights of the segmentation network lie, and their digest; reading them needs :mod:`.checkpoint`."""
+"""Where the weights of the segmentation network lie, and their digest; reading them needs :mod:`.network.checkpoint`."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from salpcc.stages.predict.learned import shipped as models
 from salpcc.stages.predict.learned.network import load_network
 from salpcc.stages.predict.paper.st_lstm import checkpoint
 from salpcc.stages.predict.static import count_tables as tables
-from salpcc.stages.segment.checkpoint import load_weights
+from salpcc.stages.segment.network.checkpoint import load_weights
 from salpcc.stages.segment.weights_file import SHIPPED as SEGMENT
 
 TABLES = tables.WEIGHTS / "fast.npz"

@@ -27,17 +27,17 @@ from salpcc.schemas.manifest import expand_sequences
 from salpcc.schemas.scan import Scan
 from salpcc.stages.evaluate.report.record import record
 from salpcc.stages.evaluate.report.schema import ABLATIONS
+from salpcc.stages.evaluate.studies.reliability import BINS, calibration_error, reliability
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.checkpoint import load_cached
 from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.confusion import UNLABELLED
 from salpcc.stages.segment.labelling import joined
+from salpcc.stages.segment.network.checkpoint import load_cached
+from salpcc.stages.segment.network.quantised import LabellingNetwork
 from salpcc.stages.segment.objects import judge_objects
-from salpcc.stages.segment.quantised import LabellingNetwork
 from salpcc.stages.segment.registration import steps_between
-from salpcc.stages.segment.reliability import BINS, calibration_error, reliability
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
 from salpcc.stages.segment.several_scans import agree
 from salpcc.stages.segment.training.labelled import consecutive, not_movable, raw_labels, split_labelled

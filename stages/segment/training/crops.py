@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.segment.range_image import HEIGHT, INTENSITY, RANGE, X, Y, Z
+from salpcc.stages.segment.network.range_image import HEIGHT, INTENSITY, RANGE, X, Y, Z
 from salpcc.stages.segment.training.labelled import LabelledImage
 
 F32 = NDArray[np.float32]

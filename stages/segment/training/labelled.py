@@ -18,7 +18,7 @@ from salpcc.schemas.errors import SourceError
 from salpcc.schemas.labels import CLASSES, classes_of_labels
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti, read_labels
-from salpcc.stages.segment.range_image import project
+from salpcc.stages.segment.network.range_image import project
 from salpcc.stages.segment.training.kitti_boxes import HINT, labels_of_boxes, list_boxed
 
 F32 = NDArray[np.float32]
@@ -32,7 +32,7 @@ class LabelledImage:
     """A labelled scan on the grid.
 
     Attributes:
-        planes: ``(6, 64, W)`` float32, as in :class:`~salpcc.stages.segment.range_image.RangeImage`.
+        planes: ``(6, 64, W)`` float32, as in :class:`~salpcc.stages.segment.network.range_image.RangeImage`.
         classes: ``(64, W)`` uint8, 0 where unlabelled or empty, NOT_MOVABLE where no more is known.
         instances: ``(64, W)`` uint32, the raw label (instance and class) of pixels of one thing whose class is known, else 0.
     """

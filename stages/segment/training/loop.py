@@ -15,10 +15,10 @@ from safetensors.torch import load_file, save_file
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.segment.checkpoint import load_weights, save_weights
 from salpcc.stages.segment.class_shares import training_weights
-from salpcc.stages.segment.network import WIDTHS, SegmentNetwork, for_cpu
-from salpcc.stages.segment.quantised import for_labelling
+from salpcc.stages.segment.network.checkpoint import load_weights, save_weights
+from salpcc.stages.segment.network.multimodal import WIDTHS, SegmentNetwork, for_cpu
+from salpcc.stages.segment.network.quantised import for_labelling
 from salpcc.stages.segment.training.labelled import sequence_of
 from salpcc.stages.segment.training.losses import segmentation_loss
 from salpcc.stages.segment.training.recipe import Phase, Recipe

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS, MOVABLE
-from salpcc.stages.segment.network import N_CLASSES
+from salpcc.stages.segment.network.multimodal import N_CLASSES
 from salpcc.stages.segment.training.labelled import NOT_MOVABLE
 
 _NOT = len(GROUPS)  # of a group that is not movable, whichever

@@ -21,7 +21,7 @@ from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.labelling import joined, judge_group
-from salpcc.stages.segment.quantised import LabellingNetwork
+from salpcc.stages.segment.network.quantised import LabellingNetwork
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
 from salpcc.stages.segment.training.labelled import consecutive, not_movable, raw_labels, sequence_of
 

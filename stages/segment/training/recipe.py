@@ -71,7 +71,7 @@ class Recipe:
     """How the network is trained.
 
     Attributes:
-        width: key of :data:`~salpcc.stages.segment.network.WIDTHS`.
+        width: key of :data:`~salpcc.stages.segment.network.multimodal.WIDTHS`.
         steps, batch: optimiser steps, crops in each.
         rate: peak learning rate. The paper trains at 5e-4 for 40,000 epochs; for thousands of steps more is better.
         betas: of Adam, the paper's.

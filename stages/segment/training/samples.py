@@ -12,10 +12,10 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from salpcc.schemas.labels import CLASSES
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.segment.inputs import NetworkInput, network_input, stack
-from salpcc.stages.segment.network import NetworkConfig
-from salpcc.stages.segment.point_branch import PointTensors
-from salpcc.stages.segment.range_image import COLUMNS, RANGE
+from salpcc.stages.segment.network.inputs import NetworkInput, network_input, stack
+from salpcc.stages.segment.network.multimodal import NetworkConfig
+from salpcc.stages.segment.network.point_branch import PointTensors
+from salpcc.stages.segment.network.range_image import COLUMNS, RANGE
 from salpcc.stages.segment.training.crops import Crop, cut, distort, mirror
 from salpcc.stages.segment.training.labelled import LabelledImage, LabelledScans, read_labelled, sequence_of
 from salpcc.stages.segment.training.recipe import SampleConfig

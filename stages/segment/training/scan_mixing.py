@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS
-from salpcc.stages.segment.range_image import HEIGHT, RANGE, Y, Z
+from salpcc.stages.segment.network.range_image import HEIGHT, RANGE, Y, Z
 from salpcc.stages.segment.training.crops import Crop, azimuth_step, rotate
 from salpcc.stages.segment.training.labelled import NOT_MOVABLE, LabelledImage
 

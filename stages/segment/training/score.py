@@ -11,7 +11,7 @@ from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS, GROUPS, MOVAB
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.segment.confusion import UNLABELLED, confusion, intersection_over_union, mean_iou
-from salpcc.stages.segment.quantised import LabellingNetwork
+from salpcc.stages.segment.network.quantised import LabellingNetwork
 from salpcc.stages.segment.segmenter import label_points
 from salpcc.stages.segment.training.labelled import not_movable, raw_labels, sequence_of
 

@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 
-from salpcc.stages.segment.checkpoint import load_weights
+from salpcc.stages.segment.network.checkpoint import load_weights
 from salpcc.stages.segment.weights_file import weights_path
 
 

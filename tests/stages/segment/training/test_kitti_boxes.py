@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from salpcc.schemas.errors import SourceError
-from salpcc.stages.segment.network import WIDTHS
-from salpcc.stages.segment.range_image import RANGE
+from salpcc.stages.segment.network.multimodal import WIDTHS
+from salpcc.stages.segment.network.range_image import RANGE
 from salpcc.stages.segment.training.crops import Crop
 from salpcc.stages.segment.training.kitti_boxes import labels_of_boxes, list_boxed
 from salpcc.stages.segment.training.labelled import (

@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 
 from salpcc.pipeline.cli.train_networks import app
 from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.stages.segment import network
-from salpcc.stages.segment.checkpoint import load_weights
 from salpcc.stages.segment.class_shares import training_weights
-from salpcc.stages.segment.fused import FusedNetwork
-from salpcc.stages.segment.network import NetworkConfig
+from salpcc.stages.segment.network import multimodal as network
+from salpcc.stages.segment.network.checkpoint import load_weights
+from salpcc.stages.segment.network.fused import FusedNetwork
+from salpcc.stages.segment.network.multimodal import NetworkConfig
 from salpcc.stages.segment.segmenter import label_points
 from salpcc.stages.segment.training.donors import simulated_donors
 from salpcc.stages.segment.training.labelled import NOT_MOVABLE, LabelledScans, list_labelled, split_labelled

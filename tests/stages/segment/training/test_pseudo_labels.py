@@ -8,7 +8,7 @@ import pytest
 from salpcc.schemas.errors import SourceError
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.checkpoint import load_cached
+from salpcc.stages.segment.network.checkpoint import load_cached
 from salpcc.stages.segment.training.labelled import list_labelled, split_labelled
 from salpcc.stages.segment.training.pseudo_labels import Said, complete_labels, join_labels
 from salpcc.stages.segment.weights_file import weights_path

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from salpcc.stages.segment.bfloat16 import as_numbers
-from salpcc.stages.segment.byte_images import halved, lifted, rounded
+from salpcc.stages.segment.network.bfloat16 import as_numbers
+from salpcc.stages.segment.network.byte_images import halved, lifted, rounded
 
 
 def _bytes(*shape: int) -> np.ndarray:

@@ -6,11 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from salpcc.stages.segment.checkpoint import load_cached, load_weights, save_weights
-from salpcc.stages.segment.inputs import network_input, stack
-from salpcc.stages.segment.network import WIDTHS, NetworkConfig, SegmentNetwork, fold_columns, unfold_columns
-from salpcc.stages.segment.point_branch import PointBranch
-from salpcc.stages.segment.range_image import project
+from salpcc.stages.segment.network.checkpoint import load_cached, load_weights, save_weights
+from salpcc.stages.segment.network.inputs import network_input, stack
+from salpcc.stages.segment.network.multimodal import (
+    WIDTHS,
+    NetworkConfig,
+    SegmentNetwork,
+    fold_columns,
+    unfold_columns,
+)
+from salpcc.stages.segment.network.point_branch import PointBranch
+from salpcc.stages.segment.network.range_image import project
 from salpcc.stages.segment.weights_file import WeightsError, weights_digest, weights_path
 
 TINY = NetworkConfig("tiny", 2, 8, 4, 1, (8, 8, 8), 64, 8, (8, 8), 1)
@@ -78,9 +84,9 @@ def test_wrong_weights_are_refused(tiny: SegmentNetwork, tmp_path: Path, monkeyp
     save_weights(path, {k: v for k, v in tiny.state_dict().items() if "head" not in k}, TINY, {})
     with pytest.raises(WeightsError, match="head"):
         load_weights(path)
-    monkeypatch.setattr("salpcc.stages.segment.checkpoint.VERSION", 2)
+    monkeypatch.setattr("salpcc.stages.segment.network.checkpoint.VERSION", 2)
     save_weights(path, tiny.state_dict(), TINY, {})
-    monkeypatch.setattr("salpcc.stages.segment.checkpoint.VERSION", 1)
+    monkeypatch.setattr("salpcc.stages.segment.network.checkpoint.VERSION", 1)
     with pytest.raises(WeightsError, match="version 2 is newer"):
         load_weights(path)
 

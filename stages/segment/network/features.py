@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.segment.bfloat16 import Numbers, put
+from salpcc.stages.segment.network.bfloat16 import Numbers, put
 
 F32 = NDArray[np.float32]
 Units = NDArray[Any]  # unsigned whole numbers, moved as they are

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.segment.bfloat16 import Numbers, take
+from salpcc.stages.segment.network.bfloat16 import Numbers, take
 
 U8 = NDArray[np.uint8]
 

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
-from salpcc.stages.segment.ground_height import ground_surface, put_heights
+from salpcc.stages.segment.network.ground_height import ground_surface, put_heights
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -137,7 +137,7 @@ def _shown(points: F32, intensity: F32, distance: F32, index: I32) -> F32:
 def project(
     points: F32, intensity: F32, sensor: SensorModel | None = None, columns: int = COLUMNS
 ) -> RangeImage:
-    """Lay points ``(N, 3)`` and intensities ``(N,)`` on the grid; inverse: :mod:`.back_projection`.
+    """Lay points ``(N, 3)`` and intensities ``(N,)`` on the grid; inverse: :mod:`salpcc.stages.segment.back_projection`.
 
     Args:
         sensor: whose cones are the rows, which come top to bottom; by default the HDL-64E's.

@@ -11,10 +11,10 @@ import torch
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.segment.features import pixel_features
-from salpcc.stages.segment.point_branch import PointTensors
-from salpcc.stages.segment.range_image import HEIGHT, INTENSITY, RANGE
-from salpcc.stages.segment.sampling import PointSets, sample
+from salpcc.stages.segment.network.features import pixel_features
+from salpcc.stages.segment.network.point_branch import PointTensors
+from salpcc.stages.segment.network.range_image import HEIGHT, INTENSITY, RANGE
+from salpcc.stages.segment.network.sampling import PointSets, sample
 
 F32 = NDArray[np.float32]
 
@@ -55,7 +55,7 @@ def cloud_input(
     Args:
         fold: columns per folded pixel; its first return stands for it in the 3-D branch.
         n_points: points of the first level.
-        rng: as in :func:`~salpcc.stages.segment.sampling.sample`.
+        rng: as in :func:`~salpcc.stages.segment.network.sampling.sample`.
     """
     flat = planes.reshape(len(planes), -1)
     seen = np.flatnonzero(flat[RANGE])

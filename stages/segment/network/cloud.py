@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from salpcc.stages.segment.bfloat16 import Numbers, put
-from salpcc.stages.segment.point_branch import SCALES
-from salpcc.stages.segment.sampling import PointSets
+from salpcc.stages.segment.network.bfloat16 import Numbers, put
+from salpcc.stages.segment.network.point_branch import SCALES
+from salpcc.stages.segment.network.sampling import PointSets
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
 
 class Cloud:
-    """The 3-D branch ``points`` of a :class:`~salpcc.stages.segment.fused.FusedNetwork`."""
+    """The 3-D branch ``points`` of a :class:`~salpcc.stages.segment.network.fused.FusedNetwork`."""
 
     def __init__(self, points: Any) -> None:
         self.encoders = [

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from salpcc.stages.segment.bfloat16 import as_numbers, as_tensor, numbers, put, take
+from salpcc.stages.segment.network.bfloat16 import as_numbers, as_tensor, numbers, put, take
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])

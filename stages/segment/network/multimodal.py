@@ -15,9 +15,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from salpcc.schemas.labels import CLASSES
-from salpcc.stages.segment.blocks import Conv, MultiKernelFilter, MultiKernelResidual
-from salpcc.stages.segment.features import COORDINATES, DEPTH, INTENSITY
-from salpcc.stages.segment.point_branch import PointBranch, PointTensors
+from salpcc.stages.segment.network.blocks import Conv, MultiKernelFilter, MultiKernelResidual
+from salpcc.stages.segment.network.features import COORDINATES, DEPTH, INTENSITY
+from salpcc.stages.segment.network.point_branch import PointBranch, PointTensors
 
 N_CLASSES = 19  # SemanticKITTI's; class 0 of CLASSES is unlabelled and never predicted
 assert CLASSES[N_CLASSES].name == "traffic-sign"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from salpcc.stages.segment.ground_height import ground_surface, put_heights
+from salpcc.stages.segment.network.ground_height import ground_surface, put_heights
 
 
 def _heights(cloud: np.ndarray, points: np.ndarray) -> np.ndarray:

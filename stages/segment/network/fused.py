@@ -1,4 +1,4 @@
-"""The network as labelling runs it: the sums of :mod:`.network`, laid out for a processor's matrix products.
+"""The network as labelling runs it: the sums of :mod:`.multimodal`, laid out for a processor's matrix products.
 
 Batch norms are inside the weights before them. Kernels of 1 and 3 pixels become one of 3, those of 5 and 7 one of 7
 (sixteen channels cost what eight do). The channels of a pixel lie together, and the head's are ordered so that
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from salpcc.stages.segment.features import COORDINATES, DEPTH, INTENSITY
-from salpcc.stages.segment.inputs import network_input, stack
-from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork, fold_columns
-from salpcc.stages.segment.point_branch import PointTensors
+from salpcc.stages.segment.network.features import COORDINATES, DEPTH, INTENSITY
+from salpcc.stages.segment.network.inputs import network_input, stack
+from salpcc.stages.segment.network.multimodal import N_CLASSES, SegmentNetwork, fold_columns
+from salpcc.stages.segment.network.point_branch import PointTensors
 
 F32 = NDArray[np.float32]
 
@@ -122,7 +122,7 @@ class Convolution(nn.Module):
 
 
 class _Residual(nn.Module):
-    """:class:`~salpcc.stages.segment.blocks.MultiKernelResidual`."""
+    """:class:`~salpcc.stages.segment.network.blocks.MultiKernelResidual`."""
 
     def __init__(self, block: Any) -> None:
         super().__init__()
@@ -146,7 +146,7 @@ class _Residual(nn.Module):
 
 
 class _Filter(nn.Module):
-    """:class:`~salpcc.stages.segment.blocks.MultiKernelFilter`."""
+    """:class:`~salpcc.stages.segment.network.blocks.MultiKernelFilter`."""
 
     def __init__(self, block: Any) -> None:
         super().__init__()
@@ -161,7 +161,7 @@ class _Filter(nn.Module):
 
 
 class _Rows(nn.Module):
-    """:class:`~salpcc.stages.segment.point_branch.Convolution1d`."""
+    """:class:`~salpcc.stages.segment.network.point_branch.Convolution1d`."""
 
     def __init__(self, block: Any) -> None:
         super().__init__()
@@ -180,7 +180,7 @@ class _Rows(nn.Module):
 
 
 def _conv(block: Any) -> Convolution:
-    """:class:`~salpcc.stages.segment.blocks.Conv`."""
+    """:class:`~salpcc.stages.segment.network.blocks.Conv`."""
     conv, norm, _ = block
     return Convolution(*normed(conv.weight, norm), relu=True)
 

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from salpcc.stages.segment.nearest import nearest, three_nearest
+from salpcc.stages.segment.network.nearest import nearest, three_nearest
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from salpcc.stages.segment.sampling import GROUP, farthest_points, interpolate, sample
+from salpcc.stages.segment.network.sampling import GROUP, farthest_points, interpolate, sample
 
 
 def _cloud(count: int, seed: int = 0) -> np.ndarray:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from salpcc.stages.segment.nearest import nearest, three_nearest
+from salpcc.stages.segment.network.nearest import nearest, three_nearest
 
 
 @pytest.mark.parametrize("spread", [0.01, 2.0, 30.0, 300.0], ids="{} m".format)

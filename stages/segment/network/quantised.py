@@ -23,13 +23,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from salpcc.stages.segment.bfloat16 import as_numbers, as_tensor, numbers
-from salpcc.stages.segment.byte_images import halved, lifted, rounded
-from salpcc.stages.segment.cloud import Cloud, mixed
-from salpcc.stages.segment.features import COORDINATES, DEPTH, INTENSITY, folded_features
-from salpcc.stages.segment.fused import SEAM, Convolution, FusedNetwork, centred, join, normed
-from salpcc.stages.segment.inputs import cloud_input
-from salpcc.stages.segment.network import N_CLASSES, SegmentNetwork
+from salpcc.stages.segment.network.bfloat16 import as_numbers, as_tensor, numbers
+from salpcc.stages.segment.network.byte_images import halved, lifted, rounded
+from salpcc.stages.segment.network.cloud import Cloud, mixed
+from salpcc.stages.segment.network.features import COORDINATES, DEPTH, INTENSITY, folded_features
+from salpcc.stages.segment.network.fused import SEAM, Convolution, FusedNetwork, centred, join, normed
+from salpcc.stages.segment.network.inputs import cloud_input
+from salpcc.stages.segment.network.multimodal import N_CLASSES, SegmentNetwork
 
 F32 = NDArray[np.float32]
 
@@ -125,12 +125,12 @@ class _Sums:
 
 
 def _filter(block: Any, source: _Bytes, target: Tensor) -> _Sums:
-    """:class:`~salpcc.stages.segment.blocks.MultiKernelFilter`."""
+    """:class:`~salpcc.stages.segment.network.blocks.MultiKernelFilter`."""
     return _Sums(*normed(centred([block.point.weight, block.around.weight]), block.norm), source, target)
 
 
 class QuantisedNetwork:
-    """Labels the pixels of one whole turn as :class:`~salpcc.stages.segment.fused.FusedNetwork` does; on a CPU.
+    """Labels the pixels of one whole turn as :class:`~salpcc.stages.segment.network.fused.FusedNetwork` does; on a CPU.
 
     All channels of a level have steps of their own, and all images of a level the same ones: so they add up.
     """
@@ -202,7 +202,7 @@ class QuantisedNetwork:
         return logits.permute(0, 2, 3, 1).float().reshape(height, width, N_CLASSES).numpy()
 
     def shown(self, planes: F32) -> list[Tensor]:
-        """Return what the fusion sees, as :meth:`~salpcc.stages.segment.fused.FusedNetwork.shown` does, of planes ``(6, H, W)``."""
+        """Return what the fusion sees, as :meth:`~salpcc.stages.segment.network.fused.FusedNetwork.shown` does, of planes ``(6, H, W)``."""
         fold, side = self.config.fold, SEAM // self.config.fold
         points, sets = cloud_input(planes, fold, self.config.n_points)
         rows = self.points.first_level(points, sets).numpy()
@@ -240,7 +240,7 @@ def _laid_out(module: nn.Module) -> nn.Module:
 
 
 def _image(pixels: NDArray[Any]) -> Tensor:
-    """Return ``(H, W, C)``, bytes or :data:`~salpcc.stages.segment.bfloat16.Numbers`, as ``(1, C, H, W)``."""
+    """Return ``(H, W, C)``, bytes or :data:`~salpcc.stages.segment.network.bfloat16.Numbers`, as ``(1, C, H, W)``."""
     return as_tensor(pixels)[None].permute(0, 3, 1, 2)
 
 

@@ -14,8 +14,8 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from salpcc.schemas.files import atomic
-from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork
-from salpcc.stages.segment.quantised import LabellingNetwork, for_labelling
+from salpcc.stages.segment.network.multimodal import NetworkConfig, SegmentNetwork
+from salpcc.stages.segment.network.quantised import LabellingNetwork, for_labelling
 from salpcc.stages.segment.weights_file import WeightsError, read_weights
 
 VERSION = 1

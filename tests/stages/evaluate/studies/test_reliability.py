@@ -3,8 +3,8 @@
 import numpy as np
 
 from salpcc.schemas.labels import MOVABLE, OTHER
-from salpcc.stages.segment.range_image import project
-from salpcc.stages.segment.reliability import calibration_error, reliability
+from salpcc.stages.evaluate.studies.reliability import calibration_error, reliability
+from salpcc.stages.segment.network.range_image import project
 from salpcc.stages.segment.segmenter import Segmentation
 
 

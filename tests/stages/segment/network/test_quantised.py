@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from salpcc.stages.segment.fused import FusedNetwork
-from salpcc.stages.segment.inputs import network_input, stack
-from salpcc.stages.segment.network import NetworkConfig, SegmentNetwork
-from salpcc.stages.segment.quantised import QuantisedNetwork, _Bytes, _Spread, _Sums, for_labelling
-from salpcc.stages.segment.range_image import INTENSITY, project
+from salpcc.stages.segment.network.fused import FusedNetwork
+from salpcc.stages.segment.network.inputs import network_input, stack
+from salpcc.stages.segment.network.multimodal import NetworkConfig, SegmentNetwork
+from salpcc.stages.segment.network.quantised import QuantisedNetwork, _Bytes, _Spread, _Sums, for_labelling
+from salpcc.stages.segment.network.range_image import INTENSITY, project
 
 SMALL = NetworkConfig("folded", 4, 16, 8, 2, (8, 8, 8), 64, 16, (16, 24, 32), 2)
 

@@ -14,7 +14,7 @@ SCALES = (1.0, 2.0, 4.0)  # metres between the points of each level, about
 
 
 class PointTensors(NamedTuple):
-    """A batch of :class:`~salpcc.stages.segment.sampling.PointSets`; indices are int64, B images each.
+    """A batch of :class:`~salpcc.stages.segment.network.sampling.PointSets`; indices are int64, B images each.
 
     Attributes:
         features: ``(B, P, 5)`` float32 of the source points.
