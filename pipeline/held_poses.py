@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SourceError
-from salpcc.stages.mapping.poses import read_poses
+from salpcc.stages.mapping.drive.poses import read_poses
 from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 

@@ -32,7 +32,7 @@ from salpcc.schemas.labels import CLASSES, classes_of_labels
 from salpcc.schemas.messages import COMPRESSED
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.sources.bag import Bag
-from salpcc.stages.mapping.poses import inverse
+from salpcc.stages.mapping.drive.poses import inverse
 from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 

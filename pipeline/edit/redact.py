@@ -27,7 +27,7 @@ from salpcc.schemas.version import TOOL
 from salpcc.stages.lattice.layers import alone, movable_mask, placed
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
-from salpcc.stages.mapping.poses import move, poses_of, read_poses
+from salpcc.stages.mapping.drive.poses import move, poses_of, read_poses
 from salpcc.stages.residual_code.archive.format import ScanEntry, ScanPayload, frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import write_archive

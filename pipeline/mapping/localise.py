@@ -23,8 +23,8 @@ from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
+from salpcc.stages.mapping.drive.poses import poses_of, read_poses
 from salpcc.stages.mapping.open3d_library import load_open3d
-from salpcc.stages.mapping.poses import poses_of, read_poses
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 

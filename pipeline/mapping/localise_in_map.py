@@ -28,10 +28,10 @@ from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report.schema import LOCALISATION
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
 from salpcc.stages.mapping.config import MapConfig
-from salpcc.stages.mapping.deskew import motions_of
+from salpcc.stages.mapping.drive.deskew import motions_of
+from salpcc.stages.mapping.drive.registration import METHODS, rotation_error, translation_error
 from salpcc.stages.mapping.gather import in_range, movable_of, still
 from salpcc.stages.mapping.in_map import Surroundings
-from salpcc.stages.mapping.registration import METHODS, rotation_error, translation_error
 from salpcc.stages.mapping.tiles import Tile
 from salpcc.stages.residual_code.archive.format import frame_number
 from salpcc.stages.residual_code.archive.reader import ArchiveReader

@@ -20,9 +20,9 @@ from salpcc.schemas.work import ScanRef, ShardRef, digest_of
 from salpcc.stages.evaluate.baselines import BASELINES
 from salpcc.stages.evaluate.report.schema import REGISTRATION
 from salpcc.stages.ingest.sources import SOURCES
-from salpcc.stages.mapping.deskew import deskewed, motion_of, turns_before
+from salpcc.stages.mapping.drive.deskew import deskewed, motion_of, turns_before
+from salpcc.stages.mapping.drive.registration import METHODS, icp, rotation_error, translation_error
 from salpcc.stages.mapping.gather import movable_of
-from salpcc.stages.mapping.registration import METHODS, icp, rotation_error, translation_error
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 VERSION = 3  # 3: raw scans de-skewed, too

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from salpcc.pipeline.decode import DecodeOptions, decode_scans
 from salpcc.schemas.errors import SourceError
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
-from salpcc.stages.mapping.logged_poses import poses_in_log
-from salpcc.stages.mapping.pose_files import read_trajectory
-from salpcc.stages.mapping.poses import poses_of, read_poses, read_sensor_poses
+from salpcc.stages.mapping.drive.logged_poses import poses_in_log
+from salpcc.stages.mapping.drive.pose_files import read_trajectory
+from salpcc.stages.mapping.drive.poses import poses_of, read_poses, read_sensor_poses
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 F64 = NDArray[np.float64]

@@ -29,8 +29,8 @@ from salpcc.stages.ingest.sources.velodyne_bin import read_points
 from salpcc.stages.mapping.build import CARVED, DROPPED, OBJECT
 from salpcc.stages.mapping.cleaners import cleaner
 from salpcc.stages.mapping.config import MapConfig
+from salpcc.stages.mapping.drive.poses import move
 from salpcc.stages.mapping.gather import in_range, still
-from salpcc.stages.mapping.poses import move
 from salpcc.stages.mapping.score import Tally, Truth, quality, tally, truth_of_labels
 from salpcc.stages.mapping.tiles import Box, Tile, blocks_of
 from salpcc.stages.mapping.voxel import keys_of

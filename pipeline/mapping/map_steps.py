@@ -28,9 +28,9 @@ from salpcc.pipeline.schedule.flow import each
 from salpcc.pipeline.schedule.progress import Report
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.mapping.agree import Agreement
-from salpcc.stages.mapping.deskew import fastest, motions_of
-from salpcc.stages.mapping.refine import PoseCheck
+from salpcc.stages.mapping.drive.agree import Agreement
+from salpcc.stages.mapping.drive.deskew import fastest, motions_of
+from salpcc.stages.mapping.drive.refine import PoseCheck
 from salpcc.stages.mapping.score import Tally
 from salpcc.stages.mapping.tune import STRETCH, Trial
 

@@ -19,13 +19,13 @@ from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ShardRef, digest_of
-from salpcc.stages.mapping.agree import Agreement, agreement
 from salpcc.stages.mapping.config import MapConfig
-from salpcc.stages.mapping.deskew import motions_of, turns_before
+from salpcc.stages.mapping.drive.agree import Agreement, agreement
+from salpcc.stages.mapping.drive.deskew import motions_of, turns_before
+from salpcc.stages.mapping.drive.moved_already import moved_already, still
+from salpcc.stages.mapping.drive.odometry import Registered, Thinned, follow, thin
+from salpcc.stages.mapping.drive.refine import PoseCheck, candidates, choose, residual, spots_of
 from salpcc.stages.mapping.gather import standing
-from salpcc.stages.mapping.moved_already import moved_already, still
-from salpcc.stages.mapping.odometry import Registered, Thinned, follow, thin
-from salpcc.stages.mapping.refine import PoseCheck, candidates, choose, residual, spots_of
 
 F64 = NDArray[np.float64]
 

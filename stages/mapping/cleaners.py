@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import UsageError
-from salpcc.stages.mapping.poses import move
+from salpcc.stages.mapping.drive.poses import move
 
 Placed = tuple[NDArray[np.float32], NDArray[np.float64]]
 Masks = list[NDArray[np.bool_]]

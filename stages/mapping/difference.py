@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 
 from salpcc.stages.mapping.carve import REACH, evidence
 from salpcc.stages.mapping.clusters import objects_of
-from salpcc.stages.mapping.poses import move
-from salpcc.stages.mapping.registration import rotation_error
+from salpcc.stages.mapping.drive.poses import move
+from salpcc.stages.mapping.drive.registration import rotation_error
 from salpcc.stages.mapping.view import COLUMNS, PITCH, ROWS, View, pixel_of
 from salpcc.stages.mapping.voxel import Voxels
 

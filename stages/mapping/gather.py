@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from salpcc.schemas.labels import CLASSES, GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.stages.mapping.config import MapConfig
-from salpcc.stages.mapping.deskew import deskewed, turns_before
-from salpcc.stages.mapping.poses import move
+from salpcc.stages.mapping.drive.deskew import deskewed, turns_before
+from salpcc.stages.mapping.drive.poses import move
 from salpcc.stages.mapping.view import View, view_of
 from salpcc.stages.mapping.voxel import Voxels, fuse, fuse_scan
 from salpcc.stages.segment.geometric import split_ground

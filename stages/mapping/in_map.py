@@ -8,8 +8,8 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from salpcc.stages.mapping.poses import proper
-from salpcc.stages.mapping.registration import Method
+from salpcc.stages.mapping.drive.poses import proper
+from salpcc.stages.mapping.drive.registration import Method
 
 F64 = NDArray[np.float64]
 

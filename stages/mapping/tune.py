@@ -13,9 +13,9 @@ from salpcc.schemas.labels import GROUP_OF_CLASS, MOVABLE
 from salpcc.schemas.scan import Scan
 from salpcc.stages.mapping.carve import contradicted, evidence
 from salpcc.stages.mapping.config import Carving, MapConfig
+from salpcc.stages.mapping.drive.poses import move
 from salpcc.stages.mapping.gather import gather, in_range, still
 from salpcc.stages.mapping.paste import ground_under, movers_of, paste
-from salpcc.stages.mapping.poses import move
 from salpcc.stages.mapping.score import MOVING, STATIC, UNKNOWN, Truth, quality, tally
 from salpcc.stages.mapping.voxel import keys_of
 

@@ -16,7 +16,7 @@ from salpcc.stages.ingest.sources.kitti_raw import read_timestamps
 from salpcc.stages.ingest.sources.semantickitti import read_classes, read_times
 from salpcc.stages.ingest.sources.velodyne_bin import points_to_bytes, read_points, read_points_with_rings
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.mapping.poses import read_poses
+from salpcc.stages.mapping.drive.poses import read_poses
 
 _POINTS = np.random.default_rng(0).normal(0, 20, (50, 4)).astype("<f4")
 _POSE = "1 0 0 {x} 0 1 0 0 0 0 1 0\n"

@@ -36,8 +36,8 @@ from salpcc.stages.evaluate.report.downstream import registration_figures
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.untwist import untwist
+from salpcc.stages.mapping.drive.poses import read_poses
 from salpcc.stages.mapping.gather import gather
-from salpcc.stages.mapping.poses import read_poses
 from salpcc.stages.mapping.voxel import keys_of
 
 from .conftest import CONFIG, SCANS, SEQUENCE

@@ -20,7 +20,7 @@ from salpcc.pipeline.mapping.map_frame import Frame
 from salpcc.schemas.errors import SourceError, UsageError
 from salpcc.schemas.labels import CLASSES
 from salpcc.stages.mapping.clusters import objects_of
-from salpcc.stages.mapping.poses import move
+from salpcc.stages.mapping.drive.poses import move
 from salpcc.stages.mapping.voxel import Voxels, fuse
 
 F64 = NDArray[np.float64]

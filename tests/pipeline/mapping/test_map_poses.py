@@ -18,7 +18,7 @@ from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.messages import PLAIN, SCHEMA_TEXT, XYZI, CloudMessage
-from salpcc.stages.mapping.poses import read_poses
+from salpcc.stages.mapping.drive.poses import read_poses
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 from .conftest import SCANS

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.mapping.config import Carving, MapConfig
-from salpcc.stages.mapping.deskew import fastest
+from salpcc.stages.mapping.drive.deskew import fastest
 from salpcc.stages.mapping.paste import Mover, ground_under, movers_of, paste
 from salpcc.stages.mapping.tune import STRETCH, Trial, best, tune
 

@@ -8,7 +8,7 @@ import pytest
 from salpcc.schemas.errors import SourceError
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.ingest.sources.velodyne_bin import looks_wide
-from salpcc.stages.mapping.poses import poses_of, read_poses
+from salpcc.stages.mapping.drive.poses import poses_of, read_poses
 
 SECOND = 1_000_000_000
 

@@ -12,8 +12,8 @@ from salpcc.schemas.log import LogMessage
 from salpcc.schemas.messages import CloudMessage
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.point_cloud import message_to_scan
-from salpcc.stages.mapping.deskew import deskewed, motion_of, motions_of, step_of, turns_before
-from salpcc.stages.mapping.poses import inverse, move
+from salpcc.stages.mapping.drive.deskew import deskewed, motion_of, motions_of, step_of, turns_before
+from salpcc.stages.mapping.drive.poses import inverse, move
 
 TURN = 100_000_000  # nanoseconds
 STEP = np.eye(4)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.mapping.deskew import deskewed, motion_of, step_of
-from salpcc.stages.mapping.moved_already import moved_already
-from salpcc.stages.mapping.odometry import Thinned, follow, thin
-from salpcc.stages.mapping.poses import inverse, read_poses
+from salpcc.stages.mapping.drive.deskew import deskewed, motion_of, step_of
+from salpcc.stages.mapping.drive.moved_already import moved_already
+from salpcc.stages.mapping.drive.odometry import Thinned, follow, thin
+from salpcc.stages.mapping.drive.poses import inverse, read_poses
 
 F64 = NDArray[np.float64]
 SCANS = 8

@@ -15,8 +15,8 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from salpcc.stages.mapping.deskew import deskewed, motion_of, step_of
-from salpcc.stages.mapping.poses import inverse, proper
+from salpcc.stages.mapping.drive.deskew import deskewed, motion_of, step_of
+from salpcc.stages.mapping.drive.poses import inverse, proper
 
 F64 = NDArray[np.float64]
 Cloud = Any  # small_gicp.PointCloud

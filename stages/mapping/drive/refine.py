@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from salpcc.stages.mapping.odometry import THIN, Thinned
-from salpcc.stages.mapping.poses import move
+from salpcc.stages.mapping.drive.odometry import THIN, Thinned
+from salpcc.stages.mapping.drive.poses import move
 
 F64 = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.mapping.odometry import Registered
-from salpcc.stages.mapping.poses import inverse
-from salpcc.stages.mapping.registration import rotation_error, translation_error
+from salpcc.stages.mapping.drive.odometry import Registered
+from salpcc.stages.mapping.drive.poses import inverse
+from salpcc.stages.mapping.drive.registration import rotation_error, translation_error
 
 F64 = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from salpcc.stages.mapping.agree import agreement
-from salpcc.stages.mapping.odometry import Registered, Thinned, follow, thin
-from salpcc.stages.mapping.poses import inverse, move
-from salpcc.stages.mapping.registration import icp, rotation_error, translation_error
+from salpcc.stages.mapping.drive.agree import agreement
+from salpcc.stages.mapping.drive.odometry import Registered, Thinned, follow, thin
+from salpcc.stages.mapping.drive.poses import inverse, move
+from salpcc.stages.mapping.drive.registration import icp, rotation_error, translation_error
 
 
 def pose(x: float, y: float = 0.0, degrees: float = 0.0) -> np.ndarray:

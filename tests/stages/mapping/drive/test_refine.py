@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from salpcc.stages.mapping.odometry import Thinned, thin
-from salpcc.stages.mapping.poses import inverse, move
-from salpcc.stages.mapping.refine import candidates, choose, residual, spots_of
+from salpcc.stages.mapping.drive.odometry import Thinned, thin
+from salpcc.stages.mapping.drive.poses import inverse, move
+from salpcc.stages.mapping.drive.refine import candidates, choose, residual, spots_of
 
 
 def drive(n: int, step: float = 1.0, bend: float = 0.004) -> np.ndarray:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from salpcc.schemas.errors import LogWarning, SourceError
 from salpcc.schemas.log import LogChannel, LogMessage
-from salpcc.stages.mapping.logged_poses import poses_in_log
+from salpcc.stages.mapping.drive.logged_poses import poses_in_log
 
 SECOND = 10**9
 START = 1_600_000_000 * SECOND

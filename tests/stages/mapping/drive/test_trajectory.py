@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from salpcc.schemas.errors import SourceError
-from salpcc.stages.mapping.pose_files import read_trajectory
-from salpcc.stages.mapping.trajectory import Trajectory
+from salpcc.stages.mapping.drive.pose_files import read_trajectory
+from salpcc.stages.mapping.drive.trajectory import Trajectory
 
 SECOND = 10**9
 START = 1_600_000_000 * SECOND

@@ -10,7 +10,7 @@ import numpy as np
 
 from salpcc.schemas.errors import SourceError
 from salpcc.stages.ingest.sources.frame_lines import frame_lines
-from salpcc.stages.mapping.trajectory import Trajectory
+from salpcc.stages.mapping.drive.trajectory import Trajectory
 
 _TUM, _EUROC = (
     8,

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.mapping.deskew import fastest, motions_of
-from salpcc.stages.mapping.odometry import Registered, Thinned, follow
-from salpcc.stages.mapping.refine import residual
+from salpcc.stages.mapping.drive.deskew import fastest, motions_of
+from salpcc.stages.mapping.drive.odometry import Registered, Thinned, follow
+from salpcc.stages.mapping.drive.refine import residual
 
 F64 = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.lattice.list_motion import redo
-from salpcc.stages.mapping.poses import inverse
+from salpcc.stages.mapping.drive.poses import inverse
 
 F64 = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from salpcc.schemas.errors import LogWarning, SourceError
 from salpcc.schemas.log import LogChannel, LogMessage
-from salpcc.stages.mapping.poses import inverse
-from salpcc.stages.mapping.trajectory import Trajectory
+from salpcc.stages.mapping.drive.poses import inverse
+from salpcc.stages.mapping.drive.trajectory import Trajectory
 
 F64 = NDArray[np.float64]
 Edge = tuple[str, str]  # parent, child

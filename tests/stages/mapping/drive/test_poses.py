@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.errors import SourceError
-from salpcc.stages.mapping.poses import inverse, move, poses_of, read_poses
+from salpcc.stages.mapping.drive.poses import inverse, move, poses_of, read_poses
 
 TR = "0 -1 0 0.1 0 0 -1 -0.2 1 0 0 -0.3"
 
