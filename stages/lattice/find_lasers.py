@@ -1,4 +1,4 @@
-"""Which laser measured each point of an unknown sensor: from ring numbers, rows, the way the list goes round, or elevation.
+"""Which laser measured each point of an unknown sensor: from ring numbers, the sines of elevations, rows, the way the list goes round, or elevation.
 
 In this order; the first that puts most points onto narrow cones is taken. Lasers are numbered as they were found: by ring
 number, row, place in the file or in a firing, or from the top down.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,8 @@ _NARROW = (
 )
 _PER_DEGREE = 50
 _SMOOTH = 4  # cells
+_ONE_SINE = 2e-6  # between points of a laser without lever arms; float32 leaves a tenth of that
+_FEWEST_OF_SINE, _HAVE_SINES = 50, 0.9  # points of a laser, and of all returns
 _LOWEST_PEAK = 0.1  # of the median peak
 
 
@@ -53,6 +55,37 @@ class Listed:
         with np.errstate(invalid="ignore", over="ignore"):
             reach = np.sqrt((self.points**2).sum(axis=1))
             return (reach > (NEAREST if self.ring is None else _NEAREST_NUMBERED)) & (reach < 1e4)
+
+
+def with_lasers(scans: list[Listed]) -> list[Listed]:
+    """Number the lasers of scans that tell none by the sines of their elevations, top first; as they are where sines do not tell them.
+
+    Drivers that know no lever arms make z of the range and one sine a laser, so points of a laser have the same but for roundings, however near they are.
+    """
+    if any(scan.ring is not None for scan in scans):
+        return scans
+    numbered = [replace(scan, ring=np.full(len(scan.points), -1)) for scan in scans]
+    seen = [scan.seen for scan in numbered]
+    points = np.concatenate([scan.points[ok] for scan, ok in zip(scans, seen, strict=True)])
+    if not len(points):
+        return scans
+    sine = points[:, 2] / np.sqrt((points**2).sum(axis=1))
+    order = np.argsort(-sine, kind="stable")
+    group = np.cumsum(-np.diff(sine[order], prepend=sine[order[:1]]) > _ONE_SINE)
+    size = np.bincount(group)
+    last = np.cumsum(size) - 1
+    width = sine[order[last - size + 1]] - sine[order[last]]
+    kept = (size >= _FEWEST_OF_SINE) & (width < _ONE_SINE)
+    if not 2 <= kept.sum() <= MOST_LASERS or size[kept].sum() < _HAVE_SINES * len(points):
+        return scans
+    laser = np.empty(len(points), np.int64)
+    laser[order] = np.where(kept, np.cumsum(kept) - 1, -1)[group]
+    for scan, ok, own in zip(
+        numbered, seen, np.split(laser, np.cumsum([ok.sum() for ok in seen])[:-1]), strict=True
+    ):
+        assert scan.ring is not None
+        scan.ring[ok] = own
+    return numbered
 
 
 def find_lasers(scans: list[Listed]) -> tuple[list[NDArray[np.int64]], int]:

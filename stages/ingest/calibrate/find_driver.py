@@ -200,7 +200,7 @@ def _laser(
     sin_e, _ = _elevation(points[:, 2], d)
     cosines = _cosines(sin_e)
     x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
-    ways = {"velodyne": (-y, x), "hesai": (x, y), "pandar": (y, -x)}
+    ways = {"velodyne": (-y, x), "hesai": (x, y), "pandar": (y, -x), "nebula": (-y, x)}
     turns = np.arctan2(*ways[formula]) / (2 * np.pi) * STEPS
     phase = float(np.angle(np.exp(2j * np.pi * turns).mean()) / (2 * np.pi))
     part = slice(0, _REFINED)

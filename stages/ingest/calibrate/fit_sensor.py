@@ -17,7 +17,7 @@ from salpcc.stages.ingest.calibrate.find_driver import find_driver, share_identi
 from salpcc.stages.ingest.calibrate.fit_laser import fit_laser
 from salpcc.stages.ingest.calibrate.fit_moved import settle, undo_known, undo_unknown
 from salpcc.stages.lattice.aim import aim, share_on
-from salpcc.stages.lattice.find_lasers import Listed, find_lasers
+from salpcc.stages.lattice.find_lasers import Listed, find_lasers, with_lasers
 from salpcc.stages.lattice.find_steps import find_count, find_ticks
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.list_motion import fit_cones, places, solve, undo
@@ -78,6 +78,7 @@ def fit_sensor(scans: Sequence[Listed], name: str, rounded: bool) -> Fit:
     kept = [scan for scan in scans if len(scan.points)]
     if not kept:
         raise SensorError("no scan to calibrate on")
+    kept = with_lasers(kept)
     fit, error = None, None
     try:
         fit = _fitted(kept, name, rounded)

@@ -124,6 +124,21 @@ def test_finds_steps_in_any_order(ticks: int, count: float, order: str) -> None:
     assert found.share_within(1e-4) > 0.999
 
 
+def test_finds_lasers_of_a_narrow_room_by_their_sines() -> None:
+    """Without rings and levers, and with firings that lack returns: no list repeats, and near points have any slope but that of their laser."""
+    truth = load_sensor("qt64")
+    rng = np.random.default_rng(5)
+    firings = 300
+    laser = np.tile(np.arange(truth.n_lasers), firings)
+    tick = (np.repeat(np.arange(firings) * 120, truth.n_lasers) + truth.shift[laser]) % truth.ticks_per_turn
+    count = np.rint(rng.uniform(0.3, 1.5, len(laser)) / truth.count)
+    points = driven(truth, laser.astype(np.uint8), tick.astype(np.int32), count).astype(np.float32)
+    points = points[rng.random(len(points)) < 0.6].astype(np.float64)
+    found = fit_sensor([Listed(points)], "found", rounded=False)
+    assert (found.model.n_lasers, found.missing) == (truth.n_lasers, 0)
+    assert found.model.bit_identical_share > 0.99
+
+
 def test_undoes_the_motion_of_firings() -> None:
     _, scan, laser = spinning(36_000, 0.002, lasers=32, firings=1084)
     s = places(len(laser), 32)

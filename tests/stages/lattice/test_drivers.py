@@ -66,7 +66,8 @@ def turn(formula: str, single: bool) -> tuple[np.ndarray, np.ndarray, float]:
         a = (index.astype(F) * F(2 * np.pi / 36_000)).astype(float)
         c, s, co, so = (f(v).astype(F) for v in (a, o.astype(float)) for f in (np.cos, np.sin))
         return np.stack([-rho * (c * co - s * so), rho * (s * co + c * so), z], axis=1), laser, unit
-    a = ((index.astype(F) * F(0.01)).astype(float) * np.pi / 180).astype(F).astype(float)
+    a = (index.astype(F) * F(0.01)).astype(float) if formula == "velodyne" else index * 0.01
+    a = (a * np.pi / 180).astype(F).astype(float)
     c, s, cr, sr = (f(v).astype(F) for v in (a, o.astype(float)) for f in (np.cos, np.sin))
     return np.stack([rho * (c * cr + s * sr), -(rho * (s * cr - c * sr)), z], axis=1), laser, unit
 
@@ -138,7 +139,7 @@ RECORDINGS = {
     "hesai_xt32m": 0.999,
     "ouster_os1_32": 0.999,
     "av2_7fab": None,
-    "hesai_ot128": None,
+    "hesai_ot128": 0.999,
 }
 
 
