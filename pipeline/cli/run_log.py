@@ -70,7 +70,7 @@ def log(
         str,
         typer.Option(
             metavar="NAME|FILE|auto",
-            help="The sensor's model: a shipped one, a JSON file, or auto, the shipped one that the first clouds are of, whichever unit.",
+            help="The sensor's model: a shipped one, a JSON file, or auto: the shipped one that the first clouds are of, whichever unit, else one that is calibrated on them.",
             rich_help_panel=CODING,
         ),
     ] = "auto",
@@ -90,7 +90,7 @@ def log(
 
     with starting():
         from salpcc.pipeline.run import RunRequest
-        from salpcc.pipeline.sensors.choose_sensor import AUTO, choose_sensor
+        from salpcc.pipeline.sensors.choose_sensor import AUTO, OWN, choose_sensor
         from salpcc.stages.evaluate.baselines import names as baseline_names
         from salpcc.stages.ingest.sources.bag import Bag, no_log
 
@@ -107,16 +107,18 @@ def log(
     if sensor == AUTO:
         sensor, share, within, unit = choose_sensor(file, names[0], tuple(topic or ()))
         where = f"are within {1000 * within:g} mm of" if within else "lie on"
+        found = "calibrated on the first clouds" if sensor == OWN else sensor
         told = (
-            f"sensor: {sensor}, {share:.0%} of the returns of the first clouds {where} its lattice"
+            f"sensor: {found}, {share:.0%} of the returns of the first clouds {where} its lattice"
             if share
-            else f"sensor: no shipped model fits; `salpcc-pipeline calibrate {file} --out sensor.json` may find one"
+            else f"sensor: no shipped model fits, nor is one found; `salpcc-pipeline calibrate {file} --out sensor.json` may find one in more clouds"
         )
         if unit is not None:
             model = out / "sensors" / f"{names[0]}.json"
             with atomic(model) as stream:
                 stream.write(unit.to_json().encode())
-            sensor, told = str(model), f"{told}; it is another unit, whose model is {model}"
+            kind = "the model" if sensor == OWN else "it is another unit, whose model"
+            sensor, told = str(model), f"{told}; {kind} is {model}"
         if share is not None:
             STDERR.print(told, soft_wrap=True, style="dim")
     config = config_of(

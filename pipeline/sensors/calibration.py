@@ -47,18 +47,26 @@ def calibrate_log(log: Path, at_most: int, name: str, topics: tuple[str, ...] = 
         UsageError: no scans there, or clouds of several topics.
         SensorError: the scans are not of one spinning sensor.
     """
-    listed = list(_scans_of(log, at_most, topics))
+    try:
+        return calibrate_scans(list(_scans_of(log, at_most, topics)), name)
+    except SensorError as error:
+        raise SensorError(f"{log}: {error}") from error
+
+
+def calibrate_scans(listed: list[Listed], name: str) -> Calibration:
+    """Fit a sensor model to scans.
+
+    Raises:
+        SensorError: they are not of one spinning sensor.
+    """
     raw = [_raw(scan) for scan in listed]
     rounded = 2 * sum(scan is not None for scan in raw) > len(listed)
     kept = [scan for scan in raw if scan is not None] if rounded else [s for s in listed if len(s.points)]
     if not kept:
         raise SensorError(
-            f"{log}: no points in its {len(listed)} scans; is it a scan of float32 x, y, z, intensity?"
+            f"no points in its {len(listed)} scans; is it a scan of float32 x, y, z, intensity?"
         )
-    try:
-        fit = fit_sensor(kept, name, rounded)
-    except SensorError as error:
-        raise SensorError(f"{log}: {error}") from error
+    fit = fit_sensor(kept, name, rounded)
     if not rounded:
         return Calibration(fit, len(kept), len(listed) - len(kept), None)
     exact = share_exact(fit)

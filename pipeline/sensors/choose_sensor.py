@@ -1,4 +1,4 @@
-"""Which shipped sensor model a log is of: tried on the first clouds of its topics."""
+"""Which sensor a log is of: a shipped model, tried on the first clouds of its topics, another unit of one, or a model that is fitted to these clouds."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from salpcc.schemas.errors import LogWarning, SourceError
+from salpcc.pipeline.sensors.calibration import calibrate_scans, listed_of
+from salpcc.schemas.errors import LogWarning, SensorError, SourceError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.calibrate.find_driver import find_unit
+from salpcc.stages.ingest.calibrate.find_driver import find_unit, share_identical
 from salpcc.stages.ingest.calibrate.fit_moved import may_be_of
 from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.ingest.sources.bag import Bag
@@ -22,18 +23,20 @@ from salpcc.stages.lattice.list_motion import undo
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
 
-AUTO, OTHERWISE = "auto", "hdl64e"
+AUTO, OTHERWISE, OWN = "auto", "hdl64e", "calibrated"
 _CLOUDS = 2  # of each topic
+_FITTED = 4  # of the topic with most points, that a model is fitted to
 _LEAST = 0.5  # of the returns that must lie on the lattice
 _NEAR, _NEARLY = 0.002, 0.9  # metres from it, and of the returns that must be so near
+_PROVEN = 0.9  # of the returns, that must come back to the bit for nothing else to be tried
 _BESIDE = 0.1  # metres that another unit's lasers may make of their looking elsewhere
 
 
 class Chosen(NamedTuple):
-    """A shipped model, and the share of the returns of the first clouds that lie on its lattice, or ``within`` metres of it.
+    """A model, and the share of the returns of the first clouds that lie on its lattice, or ``within`` metres of it.
 
-    ``unit``: the model of this very unit, where its lasers look elsewhere than those of the shipped one. ``share`` is 0 where no model holds for most of them, None where nothing can be read: the run will say why, and what of
-    the log stays behind.
+    ``unit``: the model of this very sensor, where no shipped one is; ``name`` is that of the shipped one whose lasers look elsewhere, or OWN. ``share`` is 0 where no model holds for most of them, None where nothing can be read: the
+    run will say why, and what of the log stays behind.
     """
 
     name: str
@@ -43,33 +46,67 @@ class Chosen(NamedTuple):
 
 
 def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> Chosen:
-    """Choose the shipped model of the first clouds of a log; OTHERWISE where there is none.
+    """Choose the model of the first clouds of a log; OTHERWISE where there is none.
 
-    Clouds may be of another unit than the one that a model is of: then every laser's own numbers are found again. They may be of a sensor whose driver was another, which rounds azimuths otherwise or not at all: then nearly all of them
-    are next to the lattice, and corrections are small.
+    Clouds may be of another unit than the one that a shipped model is of: then every laser's own numbers are found again; or of a sensor, or by a driver, that no shipped model is of: then a model is fitted, as ``calibrate`` does. They may be of
+    a sensor whose driver was another, which rounds azimuths otherwise or not at all: then nearly all of them are next to the lattice, and corrections are small.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LogWarning)
-        clouds = _first_clouds(log, sequence, topics)
+        many = _first_clouds(log, sequence, topics)
+    clouds = [scan for scans in many for scan in scans[:_CLOUDS]]
     if not clouds:
         return Chosen(OTHERWISE, None)
     sensors = [load_sensor(file.stem) for file in sorted(SENSORS.glob("*.json"))]
-    for share_of, least in ((_share, _LEAST), (_share_moved, _LEAST)):
-        best, share = _best(sensors, clouds, share_of)
-        if share > least:
-            return Chosen(best.name, share)
+    best, share = _best(sensors, clouds, _share)
+    on, same = Chosen(best.name, share) if share > _LEAST else None, 0.0
+    if on is not None:
+        same = _identical(best, clouds)
+        if best.driver is None or same > _PROVEN:
+            return on
+    best, share = _best(sensors, clouds, _share_moved)
+    if share > _LEAST:
+        return Chosen(best.name, share)
     found = _find_unit(sensors, clouds)
     if found is not None:
         return found
+    own = _fitted(max(many, key=lambda scans: sum(map(len, scans))))
+    if own is not None:
+        share = max(_mean(own, clouds, share_of) for share_of in (_share, _share_moved))
+        if share > _LEAST and (on is None or _identical(own, clouds) > same):
+            return Chosen(OWN, share, unit=own)
+    if on is not None:
+        return on
     best, share = _best(sensors, clouds, _share_near)
-    return Chosen(best.name, share, _NEAR) if share > _NEARLY else Chosen(OTHERWISE, 0.0)
+    if share <= _NEARLY and own is not None:
+        best, share = own, _mean(own, clouds, lambda sensor, scan: share_on(sensor, scan.points, _NEAR))
+    if share <= _NEARLY:
+        return Chosen(OTHERWISE, 0.0)
+    return Chosen(OWN, share, _NEAR, own) if best is own else Chosen(best.name, share, _NEAR)
+
+
+def _fitted(scans: list[Scan]) -> SensorModel | None:
+    """The model that a calibration on clouds finds; None where it finds none."""
+    try:
+        return calibrate_scans([listed_of(scan) for scan in scans], OWN).fit.model
+    except (SensorError, np.linalg.LinAlgError):
+        return None
+
+
+def _mean(sensor: SensorModel, clouds: list[Scan], share_of: Callable[[SensorModel, Scan], float]) -> float:
+    return float(np.mean([share_of(sensor, scan) for scan in clouds]))
+
+
+def _identical(sensor: SensorModel, clouds: list[Scan]) -> float:
+    """Share of the returns of clouds that a model gives back bit for bit."""
+    return share_identical(sensor, np.concatenate([scan.points[:, :3] for scan in clouds]))
 
 
 def _best(
     sensors: list[SensorModel], clouds: list[Scan], share_of: Callable[[SensorModel, Scan], float]
 ) -> tuple[SensorModel, float]:
     """The sensor of the largest share of all clouds, and that."""
-    shares = [float(np.mean([share_of(sensor, scan) for scan in clouds])) for sensor in sensors]
+    shares = [_mean(sensor, clouds, share_of) for sensor in sensors]
     best = int(np.argmax(shares))
     return sensors[best], shares[best]
 
@@ -85,7 +122,7 @@ def _find_unit(sensors: list[SensorModel], clouds: list[Scan]) -> Chosen | None:
         if share_on(sensor, points, _BESIDE) < _NEARLY:
             continue
         unit = find_unit(sensor, points, ring)
-        share = 0.0 if unit is None else float(np.mean([_share(unit, scan) for scan in clouds]))
+        share = 0.0 if unit is None else _mean(unit, clouds, _share)
         if share > _NEARLY:
             return Chosen(sensor.name, share, unit=unit)
     return None
@@ -115,20 +152,23 @@ def _share_moved(sensor: SensorModel, scan: Scan) -> float:
     return share_on(sensor, still.astype(np.float32))
 
 
-def _first_clouds(log: Path, sequence: str, topics: tuple[str, ...]) -> list[Scan]:
-    """The first clouds of each topic that can be read and are not empty."""
+def _first_clouds(log: Path, sequence: str, topics: tuple[str, ...]) -> list[list[Scan]]:
+    """The first clouds of each topic that can be read and are not empty; topics without any are left out."""
     bag = Bag()
     try:
         refs = bag.scans(log, sequence, topics)
     except SourceError:  # the run will say so
         return []
-    clouds: list[Scan] = []
+    many: list[list[Scan]] = []
     for topic in sorted({ref.topic for ref in refs}):
-        for ref in islice((ref for ref in refs if ref.topic == topic), _CLOUDS):
+        clouds = []
+        for ref in islice((ref for ref in refs if ref.topic == topic), _FITTED):
             try:
                 scan = bag.read(ref, with_labels=False)
             except SourceError:
                 continue
             if len(scan):
                 clouds.append(scan)
-    return clouds
+        if clouds:
+            many.append(clouds)
+    return many

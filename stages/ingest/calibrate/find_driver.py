@@ -28,13 +28,11 @@ _WINDOW = 2.5e-7  # radians that the phase of azimuths may be off by
 _TRIED = 200  # offsets in that window
 _ULPS = 4
 _FEWER = 60  # points of a laser
+_MORE = 1.3  # times the lasers that a cloud shows, that its sensor may have
 _TURNED = 18  # hundredths of a degree
 _NEAREST_ORIGIN, _FARTHEST_ORIGIN = 5_000, 40_000  # micrometres from the axis that Ouster's beams start
-_ORIGINS, _HEIGHTS, _NEAR_ORIGIN = (
-    (12_163.0, 13_762.0, 15_806.0, 27_670.0),
-    (36_180.0, 38_195.0),
-    30.0,
-)  # of their data sheets
+_ORIGIN_OFF = 10  # micrometres that cones leave unsure
+_HEIGHTS, _NEAR_HEIGHT = (36_180.0, 38_195.0), 30.0  # of their data sheets
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -45,7 +43,8 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
     """Return the model with the driver that made points ``(N, 3)`` of lasers ``(N,)`` (-1: not known); None where none is found."""
     levers = np.abs(np.stack([model.h, model.z0, model.d0]))
     if np.median(levers, axis=1).max() > _LEVER:  # of a laser with few points there may be any
-        found = _ouster(model)
+        points, laser = _few_of_each(points, laser, model.n_lasers)
+        found = max(_ouster(model), key=lambda tried: _same(tried, points, laser).sum())
         return _polished(found, points, laser)
     reach = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1))
     own = _by_laser(laser, reach, model.n_lasers)
@@ -91,6 +90,8 @@ def find_unit(model: SensorModel, points: F32, ring: I64 | None = None) -> Senso
     d = _ranges(np.nan_to_num(reach, posinf=0.0), model.count, kind.single)
     sine, rows = SINES.index(kind.sine), kind.lasers.copy()
     known = [k for k in sorted(range(model.n_lasers), key=lambda k: -len(own[k])) if len(own[k]) >= _FEWER]
+    if _MORE * len(known) < model.n_lasers:
+        return None  # of another sensor, some of whose lasers look nearly where these do
     few = [own[k][:_FEWER] for k in known[:_CHOSEN]]
     shares = [_laser(points[some], d[some], kind.formula, sine, _ASIDE)[1] for some in few]
     if len(shares) < _CHOSEN or np.median(shares) < _HOLDS:
@@ -121,12 +122,23 @@ def _of_rings(ring: I64, laser: I64, lasers: int) -> I64:
     return np.where(seen, of_ring[ring], -1)
 
 
+def _few_of_each(points: F32, laser: I64, lasers: int) -> tuple[F32, I64]:
+    """Some of the points ``(N, 3)`` of each laser, and their lasers."""
+    order = np.random.default_rng(0).permutation(np.flatnonzero(laser >= 0))
+    own = np.concatenate([order[laser[order] == k][:_FEWER] for k in range(lasers)])
+    return points[own], laser[own]
+
+
+def _same(model: SensorModel, points: F32, laser: I64) -> NDArray[np.bool_]:
+    """Mark points ``(N, 3)`` of lasers ``(N,)`` that the model gives back bit for bit."""
+    k, tick, count, _ = aim(model, points.astype(np.float64), laser)
+    back = driven(model, np.maximum(k, 0).astype(np.uint8), tick.astype(np.int32), count.astype(np.float64))
+    return np.asarray((back.astype(np.float32).view(np.int32) == points.view(np.int32)).all(axis=1))
+
+
 def _polished(model: SensorModel, points: F32, laser: I64) -> SensorModel:
     """Turn each laser to where most of its points come back bit for bit: by hundredths of a degree, then as any other laser, or nearly."""
     assert model.driver is not None
-    order = np.random.default_rng(0).permutation(np.flatnonzero(laser >= 0))
-    own = np.concatenate([order[laser[order] == k][:_FEWER] for k in range(model.n_lasers)])
-    points, laser = points[own], laser[own]
     seen = np.maximum(np.bincount(laser, minlength=model.n_lasers), 1)
     best, rows = np.full(model.n_lasers, -1.0), model.driver.lasers.copy()
     hundredths = 10.0 * np.array(sorted(range(-_TURNED, _TURNED + 1), key=abs))  # as millidegrees
@@ -136,19 +148,14 @@ def _polished(model: SensorModel, points: F32, laser: I64) -> SensorModel:
             tried = model.driver.lasers.copy()
             tried[:, 1] = aside if again else tried[:, 1] + aside
             trial = with_driver(model, replace(model.driver, lasers=tried))
-            k, tick, count, _ = aim(trial, points.astype(np.float64), laser)
-            back = driven(
-                trial, np.maximum(k, 0).astype(np.uint8), tick.astype(np.int32), count.astype(np.float64)
-            )
-            same = (back.astype(np.float32).view(np.int32) == points.view(np.int32)).all(axis=1)
-            share = np.bincount(laser, same, model.n_lasers) / seen
+            share = np.bincount(laser, _same(trial, points, laser), model.n_lasers) / seen
             rows[share > best] = tried[share > best]
             best = np.maximum(best, share)
     return with_driver(model, replace(model.driver, lasers=rows))
 
 
-def _ouster(model: SensorModel) -> SensorModel:
-    """The model with Ouster's formula, whose numbers are round; for the caller to try."""
+def _ouster(model: SensorModel) -> list[SensorModel]:
+    """The model with Ouster's formula, whose numbers are round, and origins of beams as far from the axis as cones leave possible; for the caller to try."""
     tangent = np.tan(model.theta)
     beside = np.arange(_NEAREST_ORIGIN, _FARTHEST_ORIGIN)  # micrometres
     along = np.sqrt(np.maximum((beside[:, None] * ouster.MICROMETRES) ** 2 - model.h**2, 0.0))
@@ -156,18 +163,18 @@ def _ouster(model: SensorModel) -> SensorModel:
     middle = np.median(height, axis=1)
     best = int(np.median(np.abs(height - middle[:, None]), axis=1).argmin())
     n, t = float(beside[best]), float(np.rint(middle[best] / ouster.MICROMETRES))
-    known = [origin for origin in _ORIGINS if abs(origin - n) < _NEAR_ORIGIN]
-    n = known[0] if known else n
-    t = next((height for height in _HEIGHTS if abs(height - t) < _NEAR_ORIGIN), t)
+    t = next((height for height in _HEIGHTS if abs(height - t) < _NEAR_HEIGHT), t)
     step = 2 * np.pi / model.ticks_per_turn
     roughly = -np.arcsin(np.clip(model.h / (n * ouster.MICROMETRES), -1.0, 1.0))
     azimuth = model.phi0 - np.pi
     azimuth += step * np.rint((roughly - azimuth) / step)
     tens = [np.rint(np.degrees(angle) * 100.0) * 10.0 for angle in (model.theta, -azimuth)]
-    rows = np.stack([*tens, np.full(model.n_lasers, n), np.full(model.n_lasers, t)], axis=1)
-    return with_driver(
-        model, Driver("ouster", "rounded", False, rows.astype(np.float32), model.ticks_per_turn)
-    )
+    tried = []
+    for origin in range(int(n) - _ORIGIN_OFF, int(n) + _ORIGIN_OFF + 1):
+        rows = np.stack([*tens, np.full(model.n_lasers, origin), np.full(model.n_lasers, t)], axis=1)
+        kind = Driver("ouster", "rounded", False, rows.astype(np.float32), model.ticks_per_turn)
+        tried.append(with_driver(model, kind))
+    return tried
 
 
 def _ranges(reach: F64, unit: float, single: bool) -> F32:
@@ -204,6 +211,7 @@ def _laser(
     turns = np.arctan2(*ways[formula]) / (2 * np.pi) * STEPS
     phase = float(np.angle(np.exp(2j * np.pi * turns).mean()) / (2 * np.pi))
     part = slice(0, _REFINED)
+    widest = 0 if formula == "nebula" else widest  # whose indices have the offset in them
     number = list(FORMULAS).index(formula)
     values = FORMULAS[formula].table(sine)
     lost, offset, cos_e = _search(

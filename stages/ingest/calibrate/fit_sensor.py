@@ -144,8 +144,10 @@ def _fitted(kept: list[Listed], name: str, rounded: bool) -> Fit:
         [_along(q, float(c.slope[0]), float(c.height[0])) for q, c in zip(own, cones, strict=True)]
     )
     widths = {scan.width for scan in kept}
-    if not ticks_line and len(widths) == 1 and widths <= _COLUMNS:
-        found_ticks = widths.pop()  # too few returns to tell, but the cloud is a turn of so many columns
+    if len(widths) == 1 and widths <= _COLUMNS and (not ticks_line or found_ticks % min(widths) == 0):
+        found_ticks = (
+            widths.pop()
+        )  # too few returns to tell, or to tell from a multiple, but the cloud is a turn of so many columns
     ticks, count = ticks or found_ticks, count or found_count
     fitted = [fit_laser(q[:: len(q) // _MOST_POINTS + 1], ticks, count, rounded) for q in own]
     # A nanoradian at 100 m and a tenth of a micrometre say no more; short numbers keep archives short.

@@ -30,7 +30,7 @@ FORMULAS: dict[str, ModuleType] = {
     "pandar": pandar,
     "nebula": nebula,
 }
-TURNING = ("velodyne", "hesai", "pandar", "nebula")  # those with bearings
+TURNING = ("nebula", "velodyne", "hesai", "pandar")  # those with bearings, as they are tried
 SINES = ("rounded", "polynomial")  # the kinds of :mod:`.sines`
 NO_FORMULA, VELODYNE, HESAI, OUSTER, PANDAR, NEBULA = -1, 0, 1, 2, 3, 4
 STEPS = 36_000  # azimuth indices in a turn, unless a driver says otherwise

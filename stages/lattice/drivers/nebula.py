@@ -1,6 +1,6 @@
 """Nebula's arithmetic for Velodynes: as :mod:`.velodyne`, but that hundredths of a degree are multiplied in float64, and the index has the laser's own azimuth in it.
 
-With azimuth index i, and the laser's azimuth offset r, which is 0 as a rule::
+With azimuth index i, and an azimuth offset r, which is 0 therefore::
 
     C[i], S[i] = cosine, sine of the float32 next to i * 0.01 degrees in radians, the products float64
     c, s, x, y, z: as of velodyne

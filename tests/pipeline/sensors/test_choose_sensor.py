@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from salpcc.pipeline.sensors import choose_sensor as module
-from salpcc.pipeline.sensors.choose_sensor import OTHERWISE, choose_sensor
+from salpcc.pipeline.sensors.choose_sensor import OTHERWISE, OWN, choose_sensor
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.lattice.aim import share_on
@@ -73,6 +73,33 @@ def test_finds_another_unit_whose_lasers_look_elsewhere(name: str, chosen) -> No
     assert found.unit.bit_identical_share > 0.99
     assert found.unit.name == shipped.name
     assert np.abs(found.unit.theta - unit.theta).max() < 1e-6
+
+
+def with_lasers_of(name: str, shipped: SensorModel, formula: str, few: slice, aside: float) -> SensorModel:
+    """A sensor that some lasers of a shipped one make by another formula, turned ``aside`` radians."""
+    assert shipped.driver is not None
+    lasers = shipped.driver.lasers[few].copy()
+    lasers[:, 2:] = FORMULAS[formula].row(SINES.index(shipped.driver.sine), np.float32(aside))
+    kind = replace(shipped.driver, formula=formula, lasers=lasers)
+    zero = np.zeros(len(kind.lasers))
+    bare = SensorModel(name, shipped.ticks_per_turn, shipped.count, *[zero] * 5, zero.astype(np.int64))
+    return with_driver(bare, kind)
+
+
+@pytest.mark.parametrize(
+    ("shipped", "formula", "few", "aside"),
+    [("vlp16", "nebula", slice(None), 0.0), ("qt64", "hesai", slice(0, 64, 4), 0.09)],
+)
+def test_fits_a_model_where_no_shipped_one_gives_the_floats_back(
+    shipped: str, formula: str, few: slice, aside: float, chosen
+) -> None:
+    """Of a sensor that ships by another driver, points lie on the lattice, but do not come back; some lasers of a shipped one are no unit of it."""
+    truth = with_lasers_of("x", load_sensor(shipped), formula, few, aside)
+    found = chosen(cloud_of(truth))
+    assert found[:3] == (OWN, pytest.approx(1.0, abs=0.01), 0.0)
+    assert found.unit.driver.formula == formula
+    assert found.unit.n_lasers == truth.n_lasers
+    assert found.unit.bit_identical_share > 0.98
 
 
 @pytest.mark.parametrize("name", ["vlp16", "xt32", "hdl32e"])

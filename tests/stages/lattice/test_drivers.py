@@ -56,6 +56,7 @@ def turn(formula: str, single: bool) -> tuple[np.ndarray, np.ndarray, float]:
     wall = 9.0 + 4.0 * np.sin(firing / FIRINGS * 6 * np.pi) + 3.0 * (firing // 90 % 2)
     count = np.rint((wall + rng.normal(0, 0.02, len(laser))) / unit)
     d = count.astype(F) * F(unit) if single else (count * unit).astype(F)
+    offset *= formula != "nebula"  # whose indices have it
     e, o = elevation.astype(F)[laser], offset.astype(F)[laser]
     rho = d * np.cos(e.astype(float)).astype(F)
     z = d * np.sin(e.astype(float)).astype(F)
@@ -95,13 +96,14 @@ def test_calibration_finds_the_driver(formula: str, single: bool) -> None:
         assert np.linalg.norm(back.astype(np.float64) - points, axis=1).max() <= bound
 
 
-def columns(rows: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """An organised cloud by the formula of Ouster's SDK in NumPy: points, rows, and the elevations in degrees."""
+def columns(
+    rows: int, width: int, n: float = 15.806e-3, t: float = 36.18e-3, void: float = 0.2
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """An organised cloud by the formula of Ouster's SDK in NumPy, beams from ``n`` metres beside the axis and ``t`` up: points, rows, and the elevations in degrees."""
     rng = np.random.default_rng(0)
     row, column = np.repeat(np.arange(rows), width), np.tile(np.arange(width), rows)
     up = np.round(np.linspace(20, -21, rows), 2)
     aside = np.array([4.23, 1.41, -1.4, -4.22])[np.arange(rows) % 4]
-    n, t = 15.806e-3, 36.18e-3
     turned = 2 * np.pi * (1 - column / width)
     elevation, azimuth = np.radians(up)[row], -np.radians(aside)[row]
     wall = 6.0 + 2.0 * np.sin(3 * turned) + rng.normal(0, 0.03, len(row))
@@ -115,12 +117,16 @@ def columns(rows: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ],
         axis=1,
     )
-    xyz[rng.random(len(row)) < 0.2] = 0
+    xyz[rng.random(len(row)) < void] = 0
     return xyz.astype(F), row, up
 
 
-def test_calibration_finds_beams_beside_the_axis() -> None:
-    points, row, up = columns(32, 1024)
+@pytest.mark.parametrize(
+    ("n", "t", "void"), [(15.806e-3, 36.18e-3, 0.2), (27.116e-3, 38.195e-3, 0.2), (21.042e-3, 40.1e-3, 0.85)]
+)
+def test_calibration_finds_beams_beside_the_axis(n: float, t: float, void: float) -> None:
+    """Whatever the distance, which no data sheet need have, and where few returns show the steps of azimuths or a multiple of them."""
+    points, row, up = columns(32, 1024, n, t, void)
     model = fit_sensor([Listed(points.astype(np.float64), row, 1024)], "x", rounded=False).model
     assert model.driver is not None
     assert (model.driver.formula, model.driver.steps) == ("ouster", 1024)
