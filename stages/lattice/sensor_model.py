@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -164,9 +164,15 @@ def load_sensor(name: str | Path) -> SensorModel:
     if not path.is_file():
         path = Path(name)
     try:
-        return SensorModel.from_json(path.read_bytes())
+        return _parsed(path.read_bytes())
     except SensorError as error:
         raise SensorError(f"{path}: {error}") from error
     except OSError as error:
         shipped = ", ".join(sorted(p.stem for p in SENSORS.glob("*.json")))
         raise SensorError(f"no sensor model {name}: give a JSON file or one of {shipped}") from error
+
+
+@lru_cache(maxsize=64)
+def _parsed(data: bytes) -> SensorModel:
+    """Parse what a file holds, once: every stage of every group asks for its sensor."""
+    return SensorModel.from_json(data)

@@ -25,7 +25,7 @@ from salpcc.stages.lattice.motion_search import is_raw, solve_motion
 from salpcc.stages.lattice.order import azimuth_keys, file_order, in_order
 from salpcc.stages.lattice.publish import published_points, rounded
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.lattice.untwist import twist, untwist, within_reach
+from salpcc.stages.lattice.untwist import returns, twist, untwist
 
 Places = tuple[NDArray[np.int64], NDArray[np.int64]]  # in the file, of returns and of strays
 
@@ -123,15 +123,11 @@ def scan_to_sweep(
     True
     """
     points = np.ascontiguousarray(scan.points, dtype=np.float32)
-    within = within_reach(points)
-    if lies_on(
-        sensor, points
-    ):  # not rounded to 1 mm: no returns of this lattice, but the coder of strays knows it
+    # Not rounded to 1 mm: no returns of this lattice, but the coder of strays knows it.
+    if lies_on(sensor, points):
         return _all_strays(scan, None)
-    returns = within & points.any(axis=1)  # what is no return lies on any lattice
-    locked, motion = _find_motion(
-        points if returns.all() else points[returns], start, seek or scan.cloud is None
-    )
+    some = returns(points)  # what is no return lies on any lattice
+    locked, motion = _find_motion(points if some.all() else points[some], start, seek or scan.cloud is None)
     if not locked:
         return _all_strays(scan, find_motion(points, sensor) if seek else None)
 

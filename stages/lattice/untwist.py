@@ -148,14 +148,13 @@ def on_lattice(x: float, correction: int = 0) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def within_reach(points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Mark the points ``(N, 3)`` that are finite and within 10 km."""
-    within = np.zeros(len(points), np.bool_)
+def returns(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Mark the points ``(N, 3)`` that are finite, within 10 km, and not all zeros, as what is no return often is."""
+    marked = np.empty(len(points), np.bool_)
     for i in range(len(points)):
-        within[i] = (
-            abs(points[i, 0]) < _FARTHEST and abs(points[i, 1]) < _FARTHEST and abs(points[i, 2]) < _FARTHEST
-        )
-    return within
+        x, y, z = abs(points[i, 0]), abs(points[i, 1]), abs(points[i, 2])
+        marked[i] = (x < _FARTHEST) & (y < _FARTHEST) & (z < _FARTHEST) & ((x > 0.0) | (y > 0.0) | (z > 0.0))
+    return marked
 
 
 @njit(cache=True, error_model="numpy", inline="always")

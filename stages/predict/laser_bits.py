@@ -5,6 +5,7 @@ By the predicted distributions, so nothing is coded for it; logarithms of floats
 
 from __future__ import annotations
 
+from functools import cache
 from math import log2
 
 import numpy as np
@@ -25,9 +26,16 @@ def laser_bits(sweep: Sweep, predicted: Prediction, n_lasers: int) -> NDArray[np
     if predicted.range_interval is not None:
         _of_intervals(sweep.laser, predicted.range_interval, sums)
     elif predicted.residual is not None and predicted.level_context is not None:
-        start = shipped().level_symbols[table_of(sweep.step)].start
-        _of_tokens(sweep.laser, predicted.level_context, predicted.residual, start, sums)
+        costs = _token_costs(table_of(sweep.step))
+        _of_tokens(sweep.laser, predicted.level_context, predicted.residual, costs, sums)
     return sums
+
+
+@cache
+def _token_costs(table: int) -> NDArray[np.float64]:
+    """Bits ``(C, TOKENS)`` of each token of residuals, even ones apart; infinite where it has to be escaped."""
+    frequency = shipped().levels[table]
+    return np.where(frequency > 0, rans.BITS - np.log2(np.maximum(frequency, 1)), np.inf)
 
 
 @njit(cache=True)
@@ -41,15 +49,12 @@ def _of_tokens(
     laser: NDArray[np.uint8],
     context: NDArray[np.uint8],
     residual: NDArray[np.int32],
-    start: NDArray[np.uint16],
+    costs: NDArray[np.float64],
     sums: NDArray[np.float64],
 ) -> None:
     for i in range(len(laser)):
         row = np.int64(context[i])
         token, even, _ = split(np.int64(residual[i]), shift_of(row))
-        width = 0
-        if token < ESCAPE:
-            width = int(start[row, token + 1]) - int(start[row, token])
-        if width == 0:
-            width, even = (1 << rans.BITS) - int(start[row, ESCAPE]), ESCAPED_BITS
-        sums[laser[i]] += rans.BITS - log2(width) + even
+        if token >= ESCAPE or costs[row, token] == np.inf:
+            token, even = ESCAPE, ESCAPED_BITS
+        sums[laser[i]] += costs[row, token] + even

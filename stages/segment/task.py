@@ -213,7 +213,8 @@ def quantise(
 
     if exact and fits.all():
         return sweep
-    none = np.full(int(fits.sum()), NO_CORRECTION, np.uint8)
+    kept = slice(None) if fits.all() else fits
+    none = np.full(np.count_nonzero(fits), NO_CORRECTION, np.uint8)
     lost = np.flatnonzero(~fits)
     places = np.empty(len(fits), np.int64)
     places[by_file] = return_places(sweep)
@@ -232,16 +233,16 @@ def quantise(
 
     return replace(
         coarse,
-        laser=sweep.laser[fits],
-        tick=sweep.tick[fits],
-        count=coarse.count[fits],
-        intensity=sweep.intensity[fits],
-        millimetre=sweep.millimetre[fits] if exact else none,
-        ulp=sweep.ulp[fits] if exact else none,
-        classes=None if sweep.classes is None else sweep.classes[fits],
+        laser=sweep.laser[kept],
+        tick=sweep.tick[kept],
+        count=coarse.count[kept],
+        intensity=sweep.intensity[kept],
+        millimetre=sweep.millimetre[kept] if exact else none,
+        ulp=sweep.ulp[kept] if exact else none,
+        classes=None if sweep.classes is None else sweep.classes[kept],
         stray_index=stray[in_turn],
         stray_points=stray_points,
         stray_classes=strays(sweep.stray_classes, sweep.classes),
-        labels=None if sweep.labels is None else sweep.labels[fits],
+        labels=None if sweep.labels is None else sweep.labels[kept],
         stray_labels=strays(sweep.stray_labels, sweep.labels),
     )
