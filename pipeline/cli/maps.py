@@ -6,7 +6,7 @@ import json
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -20,6 +20,9 @@ from salpcc.pipeline.schedule.fork_server import start_fork_server
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.stages.mapping.open3d_library import load_open3d
+
+if TYPE_CHECKING:
+    from salpcc.pipeline.mapping.localise_in_map import InMapRequest
 
 Archives = Annotated[
     list[Path], typer.Argument(metavar="ARCHIVE", help="The archives of one drive, in order.")
@@ -265,7 +268,9 @@ def localise(
             raise UsageError(
                 "--map takes --poses, and neither --against nor --rivals; a map of another codec is another --map"
             )
-        _in_maps(archives, map_, poses, out, every, workers, scheduler, json_)
+        from salpcc.pipeline.mapping.localise_in_map import InMapRequest
+
+        _in_maps(InMapRequest(archives, map_, out, poses, every, workers, scheduler), json_)
         return
     if against is None:
         raise UsageError("localise takes --against, the root with source scans and poses.txt, or --map")
@@ -296,23 +301,11 @@ def localise(
     typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
 
 
-def _in_maps(
-    archives: list[Path],
-    maps: list[Path],
-    poses: str | None,
-    out: Path,
-    every: int,
-    workers: int | None,
-    scheduler: str | None,
-    json_: bool,
-) -> None:
-    start_fork_server(workers, scheduler)
-    from salpcc.pipeline.mapping.localise_in_map import InMapRequest, localise_in_maps
+def _in_maps(request: InMapRequest, json_: bool) -> None:
+    from salpcc.pipeline.mapping.localise_in_map import localise_in_maps
     from salpcc.stages.evaluate.report.downstream import localisation_figures
 
-    rows = localisation_figures(
-        localise_in_maps(InMapRequest(archives, maps, out, poses, every, workers, scheduler))
-    )
+    rows = localisation_figures(localise_in_maps(request))
     if json_:
         typer.echo(json.dumps(rows, indent=1))
         return
@@ -322,7 +315,7 @@ def _in_maps(
             f"{row['sequence']:3} {row['map']:10} {1e3 * row['max_error']:4.1f} mm "
             f"{'with' if row['movable'] else 'without':8} {row['method']:15} {row['scans']:5} {row['lost']:4}  {_errors_of_pose(row)}"
         )
-    typer.echo(f"mean ± standard deviation; the record for `report` is in {out / 'report'}")
+    typer.echo(f"mean ± standard deviation; the record for `report` is in {request.out / 'report'}")
 
 
 def _errors_of_pose(row: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from salpcc.pipeline.mapping.map_plan import MapPlan, plan_map
 from salpcc.pipeline.mapping.map_quality import CLASSES_ONLY, labelled
 from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_scans import unclassified
-from salpcc.pipeline.mapping.map_steps import build_all, gather_all, score_all, track_all, tune_all
+from salpcc.pipeline.mapping.map_steps import MapSteps
 from salpcc.pipeline.mapping.map_submaps import Submap
 from salpcc.pipeline.mapping.map_summary import (
     explained_to_json,
@@ -73,8 +73,8 @@ def make_map(request: MapRequest) -> dict[str, Any]:
             return done
         store = ShardStore(request.out)
         store.sweep()
-        steps = (4 if refs is not None else 3) * plan.n_scans
-        report = stack.enter_context(bar(steps, "scans read, placed or built", request.quiet))
+        passes = 4 if refs is not None else 3
+        report = stack.enter_context(bar(passes * plan.n_scans, "scans read, placed or built", request.quiet))
         client = stack.enter_context(connect(request.workers, request.scheduler))
         untold = _untold(request)
         if untold:
@@ -84,17 +84,19 @@ def make_map(request: MapRequest) -> dict[str, Any]:
             report.say(
                 f"{', '.join(unread)}: what may move has a layer that is not read; --layers all explains that, too"
             )
-        found, track_ms = track_all(client, plan, request, report)
-        trials = tune_all(client, plan, found, request, report) if request.tune else []
+        making = MapSteps(client, plan, request, report)
+        found, track_ms = making.track()
+        trials = making.tune(found) if request.tune else []
         if trials:
             chosen = best(trials, request.config.carving)
             request = replace(request, config=request.config.model_copy(update={"carving": chosen}))
-        submaps = gather_all(client, plan, found, request, report)
-        tiles = build_all(client, plan, submaps, request, report)
+            making = replace(making, request=request)
+        submaps = making.gather(found)
+        tiles = making.build(submaps)
         cpu_s = 1e-3 * (track_ms + sum(s.cpu_ms for s in submaps) + sum(t.cpu_ms for t in tiles))
         rows: list[dict[str, Any]] = []
         if refs is not None:
-            rows = score_all(client, plan, refs, found, tiles, request, report, cpu_s)
+            rows = making.score(refs, found, tiles, cpu_s)
             if len(untold) == len(request.archives):  # they dropped nothing: that was not measured
                 rows = [row for row in rows if row["cleaner"] != CLASSES_ONLY]
         frame = frame_of(plan.origin, request.archives[0], request.crs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,28 +38,146 @@ from salpcc.stages.mapping.tune import STRETCH, Trial
 _TURN = 5.0  # metres that a scan is moved by at most when it is de-skewed
 
 
-def track_all(client: Client, plan: MapPlan, request: MapRequest, report: Report) -> tuple[Track, float]:
-    """Find where all scans stand, and say how well given poses fit; return it, and the CPU milliseconds that it took.
+@dataclass(frozen=True)
+class MapSteps:
+    """One map in the making: who works on it, what is planned and asked for, and who is told how far it is."""
 
-    Raises:
-        SourceError: given poses are not the poses of these scans; or registration loses the way.
-    """
-    work = [(group, request.config, request.out) for group in plan.groups]
-    names = [f"prepare-{g.number:05d}" for g in plan.groups]
-    prepared: list[Prepared] = each(
-        client, prepare_group, work, names, report, _steps(plan.groups, "read scans")
-    )
-    whole = (plan.groups, prepared, request.config.refine_poses, request.out)
-    [ref] = each(client, track, [whole], ["track"])
-    found = read_track(request.out, ref)
-    _refuse_foreign(plan, found.agreements)
-    if found.moved_already:
-        report.say(
-            "scans: they fit one another better as they are than de-skewed, so their driver moved them already"
+    client: Client
+    plan: MapPlan
+    request: MapRequest
+    report: Report
+
+    def track(self) -> tuple[Track, float]:
+        """Find where all scans stand, and say how well given poses fit; return it, and the CPU milliseconds that it took.
+
+        Raises:
+            SourceError: given poses are not the poses of these scans; or registration loses the way.
+        """
+        plan, request = self.plan, self.request
+        work = [(group, request.config, request.out) for group in plan.groups]
+        names = [f"prepare-{g.number:05d}" for g in plan.groups]
+        prepared: list[Prepared] = each(
+            self.client, prepare_group, work, names, self.report, _steps(plan.groups, "read scans")
         )
-    if found.agreements:
-        report.say(told(found.check))
-    return found, sum(p.cpu_ms for p in prepared) + found.cpu_ms
+        whole = (plan.groups, prepared, request.config.refine_poses, request.out)
+        [ref] = each(self.client, track, [whole], ["track"])
+        found = read_track(request.out, ref)
+        _refuse_foreign(plan, found.agreements)
+        if found.moved_already:
+            self.report.say(
+                "scans: they fit one another better as they are than de-skewed, so their driver moved them already"
+            )
+        if found.agreements:
+            self.report.say(told(found.check))
+        return found, sum(p.cpu_ms for p in prepared) + found.cpu_ms
+
+    def tune(self, found: Track) -> list[Trial]:
+        """Try settings of the carving on the stretch where one drove farthest; return them, the best first."""
+        plan, request = self.plan, self.request
+        part = fastest(
+            motions_of(found.poses, [number for group in plan.groups for number in group.numbers]), STRETCH
+        )
+        ends = np.cumsum([len(group.names) for group in plan.groups])
+        names = [name for group in plan.groups for name in group.names]
+        groups = [
+            g
+            for g, end in zip(plan.groups, ends, strict=True)
+            if end > part.start and end - len(g.names) < part.stop
+        ]
+        work = (groups, frozenset(names[part]), *found.of(part), request.config, request.out)
+        self.report.say(
+            f"{plan.sequence}: tuned on scans {names[part][0]} to {names[part][-1]}, with movers pasted into them"
+        )
+        [ref] = each(self.client, tune_stretch, [work], ["tune"])
+        return read_trials(request.out, ref)
+
+    def gather(self, found: Track) -> list[Submap]:
+        """Gather all groups that see anything of what is to be made.
+
+        Raises:
+            UsageError: none does.
+        """
+        plan, request = self.plan, self.request
+        chosen = list(self._near(found))
+        if not chosen:
+            raise UsageError(_nowhere(plan, found, request))
+        self.report.advance(
+            plan.n_scans - sum(len(group.names) for group, _ in chosen), f"{plan.sequence}: placed"
+        )
+        work = [(group, *found.of(own), request.config, request.out) for group, own in chosen]
+        names = [f"gather-{group.number:05d}" for group, _ in chosen]
+        steps = _steps([group for group, _ in chosen], "gathered scans")
+        return each(self.client, gather_group, work, names, self.report, steps)
+
+    def build(self, submaps: list[Submap]) -> list[TileResult]:
+        """Build all tiles that anything lies in."""
+        plan, request = self.plan, self.request
+        config, size = request.config, request.config.tile
+        names = sorted({tile for submap in submaps for box in submap.boxes for tile in box.tiles(size)})
+        within = config.box(plan.origin)
+        if within is not None:
+            names = [tile for tile in names if within.touches(tile, size)]
+        facts = (
+            plan.sequence,
+            config,
+            request.formats,
+            frame_of(plan.origin, request.archives[0], request.crs),
+            request.out,
+        )
+        work = [(tile, parts_of(tile, submaps, size), *facts) for tile in names]
+        steps = [
+            (_share(plan.n_scans, at, len(work)), f"{plan.sequence}: tile {tile.name}")
+            for at, tile in enumerate(names, start=1)
+        ]
+        what = [f"tile-{tile.name}" for tile in names]
+        results: list[TileResult] = each(self.client, build_tile, work, what, self.report, steps)
+        clear(request, {result.tile.name for result in results if result.kept})
+        return results
+
+    def score(
+        self, refs: Sequence[Sequence[ScanRef]], found: Track, tiles: list[TileResult], cpu_s: float
+    ) -> list[dict[str, Any]]:
+        """Tally the map, and those of public cleaners, against the labels of the source; return the table's rows."""
+        plan, request = self.plan, self.request
+        box = request.config.box(plan.origin)
+        chosen = list(self._near(found))
+        work = [
+            (group, refs[group.number], *found.of(own), request.config, box, request.out)
+            for group, own in chosen
+        ]
+        names = [f"truth-{g.number:05d}" for g, _ in chosen]
+        steps = _steps([group for group, _ in chosen], "read labels of scans")
+        truths: list[TruthRef] = each(self.client, truth_group, work, names, self.report, steps)
+        jobs = [
+            (
+                t.tile,
+                t.ref,
+                [truth for truth in truths if (t.tile.x, t.tile.y) in truth.tiles],
+                request.config,
+                request.out,
+            )
+            for t in tiles
+        ]
+        total: dict[str, Tally] = {}
+        for counts in each(self.client, tally_tile, jobs, [f"tally-{t.tile.name}" for t in tiles]):
+            total = {name: total.get(name, Tally()) + tally for name, tally in counts.items()}
+        every = [ref for group, _ in chosen for ref in refs[group.number]]
+        whole = found.of(np.concatenate([np.r_[own] for _, own in chosen]))
+        rivals = [(name, every, *whole, truths, request.config, request.out) for name in request.rivals]
+        beside = dict(
+            zip(request.rivals, each(self.client, rival_tally, rivals, request.rivals), strict=True)
+        )
+        return quality_rows(total, plan, tiles, cpu_s) + rival_rows(plan, beside)
+
+    def _near(self, found: Track) -> Iterator[tuple[Group, slice]]:
+        """Choose the groups of which a scan reaches what is to be made, each with its place in the trajectory."""
+        plan, request = self.plan, self.request
+        box, at = request.config.box(plan.origin), 0
+        for group in plan.groups:
+            own = slice(at, at + len(group.names))
+            at = own.stop
+            if box is None or box.distance(found.poses[own, :3, 3]).min() <= request.config.max_range + _TURN:
+                yield group, own
 
 
 def told(check: PoseCheck) -> str:
@@ -96,54 +215,6 @@ def _refuse_foreign(plan: MapPlan, agreements: Sequence[Agreement]) -> None:
     )
 
 
-def tune_all(client: Client, plan: MapPlan, found: Track, request: MapRequest, report: Report) -> list[Trial]:
-    """Try settings of the carving on the stretch where one drove farthest; return them, the best first."""
-    part = fastest(
-        motions_of(found.poses, [number for group in plan.groups for number in group.numbers]), STRETCH
-    )
-    ends = np.cumsum([len(group.names) for group in plan.groups])
-    names = [name for group in plan.groups for name in group.names]
-    groups = [
-        g
-        for g, end in zip(plan.groups, ends, strict=True)
-        if end > part.start and end - len(g.names) < part.stop
-    ]
-    work = (groups, frozenset(names[part]), *found.of(part), request.config, request.out)
-    report.say(
-        f"{plan.sequence}: tuned on scans {names[part][0]} to {names[part][-1]}, with movers pasted into them"
-    )
-    [ref] = each(client, tune_stretch, [work], ["tune"])
-    return read_trials(request.out, ref)
-
-
-def gather_all(
-    client: Client, plan: MapPlan, found: Track, request: MapRequest, report: Report
-) -> list[Submap]:
-    """Gather all groups that see anything of what is to be made.
-
-    Raises:
-        UsageError: none does.
-    """
-    chosen = list(near(plan, found, request))
-    if not chosen:
-        raise UsageError(_nowhere(plan, found, request))
-    report.advance(plan.n_scans - sum(len(group.names) for group, _ in chosen), f"{plan.sequence}: placed")
-    work = [(group, *found.of(own), request.config, request.out) for group, own in chosen]
-    names = [f"gather-{group.number:05d}" for group, _ in chosen]
-    steps = _steps([group for group, _ in chosen], "gathered scans")
-    return each(client, gather_group, work, names, report, steps)
-
-
-def near(plan: MapPlan, found: Track, request: MapRequest) -> Iterator[tuple[Group, slice]]:
-    """Choose the groups of which a scan reaches what is to be made, each with its place in the trajectory."""
-    box, at = request.config.box(plan.origin), 0
-    for group in plan.groups:
-        own = slice(at, at + len(group.names))
-        at = own.stop
-        if box is None or box.distance(found.poses[own, :3, 3]).min() <= request.config.max_range + _TURN:
-            yield group, own
-
-
 def _nowhere(plan: MapPlan, found: Track, request: MapRequest) -> str:
     places = found.poses[:, :3, 3] + plan.origin
     low, high = (
@@ -154,76 +225,6 @@ def _nowhere(plan: MapPlan, found: Track, request: MapRequest) -> str:
         f"--within {wanted}: no scan came within {request.config.max_range:g} m of it; the drive is in {low},{high} "
         "(metres, in the frame of the poses)"
     )
-
-
-def build_all(
-    client: Client,
-    plan: MapPlan,
-    submaps: list[Submap],
-    request: MapRequest,
-    report: Report,
-) -> list[TileResult]:
-    """Build all tiles that anything lies in."""
-    config, size = request.config, request.config.tile
-    names = sorted({tile for submap in submaps for box in submap.boxes for tile in box.tiles(size)})
-    within = config.box(plan.origin)
-    if within is not None:
-        names = [tile for tile in names if within.touches(tile, size)]
-    facts = (
-        plan.sequence,
-        config,
-        request.formats,
-        frame_of(plan.origin, request.archives[0], request.crs),
-        request.out,
-    )
-    work = [(tile, parts_of(tile, submaps, size), *facts) for tile in names]
-    steps = [
-        (_share(plan.n_scans, at, len(work)), f"{plan.sequence}: tile {tile.name}")
-        for at, tile in enumerate(names, start=1)
-    ]
-    what = [f"tile-{tile.name}" for tile in names]
-    results: list[TileResult] = each(client, build_tile, work, what, report, steps)
-    clear(request, {result.tile.name for result in results if result.kept})
-    return results
-
-
-def score_all(
-    client: Client,
-    plan: MapPlan,
-    refs: Sequence[Sequence[ScanRef]],
-    found: Track,
-    tiles: list[TileResult],
-    request: MapRequest,
-    report: Report,
-    cpu_s: float,
-) -> list[dict[str, Any]]:
-    """Tally the map, and those of public cleaners, against the labels of the source; return the table's rows."""
-    box = request.config.box(plan.origin)
-    chosen = list(near(plan, found, request))
-    work = [
-        (group, refs[group.number], *found.of(own), request.config, box, request.out) for group, own in chosen
-    ]
-    names = [f"truth-{g.number:05d}" for g, _ in chosen]
-    steps = _steps([group for group, _ in chosen], "read labels of scans")
-    truths: list[TruthRef] = each(client, truth_group, work, names, report, steps)
-    jobs = [
-        (
-            t.tile,
-            t.ref,
-            [truth for truth in truths if (t.tile.x, t.tile.y) in truth.tiles],
-            request.config,
-            request.out,
-        )
-        for t in tiles
-    ]
-    total: dict[str, Tally] = {}
-    for counts in each(client, tally_tile, jobs, [f"tally-{t.tile.name}" for t in tiles]):
-        total = {name: total.get(name, Tally()) + tally for name, tally in counts.items()}
-    every = [ref for group, _ in chosen for ref in refs[group.number]]
-    whole = found.of(np.concatenate([np.r_[own] for _, own in chosen]))
-    rivals = [(name, every, *whole, truths, request.config, request.out) for name in request.rivals]
-    beside = dict(zip(request.rivals, each(client, rival_tally, rivals, request.rivals), strict=True))
-    return quality_rows(total, plan, tiles, cpu_s) + rival_rows(plan, beside)
 
 
 def _steps(groups: Sequence[Group], doing: str) -> list[tuple[int, str]]:

@@ -48,6 +48,7 @@ def scan_from_arrays(
 
     Raises:
         KindError: an array is of another shape or type; the message names it and the remedy. It is a TypeError, too.
+        UsageError: a field has a name that it cannot have.
 
     >>> scan = scan_from_arrays(np.ones((2, 3)), ring=np.array([7, 8], np.uint8), name="000123")
     >>> scan.fields["ring"]

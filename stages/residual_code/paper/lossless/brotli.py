@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked, decoding
 
 _TITLE, _QUALITY = "Brotli", 3
 
@@ -20,15 +19,13 @@ def decode(data: bytes, size: int) -> bytes:
     import brotli
 
     decoder = brotli.Decompressor()
-    try:
+    with decoding(_TITLE, brotli.error):
         plain = bytes(decoder.process(data, output_buffer_limit=size + 1))
         while len(plain) <= size and not decoder.can_accept_more_data():
             more = bytes(decoder.process(b"", output_buffer_limit=size + 1 - len(plain)))
             if not more:
                 break
             plain += more
-    except brotli.error as error:
-        raise ArchiveError(f"{_TITLE} stream is damaged") from error
     return checked(_TITLE, plain, size)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import bz2
 
-from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked, decoding
 
 _TITLE = "BZip2"
 
@@ -18,10 +17,8 @@ def encode(plain: bytes) -> bytes:
 def decode(data: bytes, size: int) -> bytes:
     """Expand; inverse of :func:`encode`."""
     decoder = bz2.BZ2Decompressor()
-    try:
+    with decoding(_TITLE, OSError, EOFError):
         plain = decoder.decompress(data, max_length=size + 1)
-    except (OSError, EOFError) as error:
-        raise ArchiveError(f"{_TITLE} stream is damaged") from error
     return checked(_TITLE, plain, size)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import zlib
+from contextlib import suppress
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked, decoding
 
 _TITLE, _FEED = "Deflate64", 1024
 
@@ -20,11 +21,9 @@ def encode(plain: bytes) -> bytes:
 
     coder = inflate64.Deflater()
     data = bytes(coder.deflate(plain)) + bytes(coder.flush())
-    try:
+    with suppress(ArchiveError):
         if decode(data, len(plain)) == plain:
             return data
-    except ArchiveError:
-        pass
     stored = zlib.compressobj(0, zlib.DEFLATED, -15)
     return stored.compress(plain) + stored.flush()
 
@@ -35,14 +34,12 @@ def decode(data: bytes, size: int) -> bytes:
 
     decoder = inflate64.Inflater()
     parts, length = [], 0
-    try:
+    with decoding(_TITLE, ValueError, RuntimeError, EOFError, MemoryError):
         for start in range(0, len(data), _FEED):
             parts.append(bytes(decoder.inflate(data[start : start + _FEED])))
             length += len(parts[-1])
             if length > size or decoder.eof:
                 break
-    except (ValueError, RuntimeError, EOFError, MemoryError) as error:
-        raise ArchiveError(f"{_TITLE} stream is damaged") from error
     return checked(_TITLE, b"".join(parts), size)
 
 

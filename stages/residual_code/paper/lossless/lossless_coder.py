@@ -7,7 +7,8 @@ takes by default.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from salpcc.schemas.errors import ArchiveError
@@ -24,6 +25,19 @@ class Lossless:
     settings: str
     encode: Callable[[bytes], bytes]
     decode: Callable[[bytes, int], bytes]
+
+
+@contextmanager
+def decoding(title: str, *errors: type[Exception]) -> Iterator[None]:
+    """Take the ``errors`` of a library for a damaged stream.
+
+    Raises:
+        ArchiveError: it is one.
+    """
+    try:
+        yield
+    except errors as error:
+        raise ArchiveError(f"{title} stream is damaged") from error
 
 
 def checked(title: str, plain: bytes, size: int, complete: bool = True) -> bytes:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import lz4.frame
 
-from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked, decoding
 
 _TITLE, _LEVEL = "LZ4", 3
 
@@ -17,10 +16,8 @@ def encode(plain: bytes) -> bytes:
 
 def decode(data: bytes, size: int) -> bytes:
     """Expand; inverse of :func:`encode`."""
-    try:
+    with decoding(_TITLE, RuntimeError, EOFError):
         plain = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
-    except (RuntimeError, EOFError) as error:
-        raise ArchiveError(f"{_TITLE} stream is damaged") from error
     return checked(_TITLE, plain, size)
 
 

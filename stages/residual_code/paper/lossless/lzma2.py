@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import lzma
 
-from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked, decoding
 
 _TITLE = "LZMA2"
 _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 5, "dict_size": 16 << 20}]
@@ -18,10 +17,8 @@ def encode(plain: bytes) -> bytes:
 
 def decode(data: bytes, size: int) -> bytes:
     """Expand; inverse of :func:`encode`."""
-    try:
+    with decoding(_TITLE, lzma.LZMAError, EOFError):
         plain = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_FILTERS).decompress(data, max_length=size + 1)
-    except (lzma.LZMAError, EOFError) as error:
-        raise ArchiveError(f"{_TITLE} stream is damaged") from error
     return checked(_TITLE, plain, size)
 
 

@@ -11,7 +11,7 @@ import struct
 import zlib
 
 from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked, decoding
 
 _TITLE = "PPMd"
 _ORDER, _MEMORY, _FEED = 6, 16 << 20, 4096
@@ -53,10 +53,8 @@ def _crc(size: int, stream: bytes) -> int:
 def _expand(stream: bytes, size: int) -> bytes:
     import pyppmd
 
-    try:
+    with decoding(_TITLE, ValueError, EOFError, RuntimeError):
         return bytes(pyppmd.Ppmd7Decoder(_ORDER, _MEMORY).decode(stream, size))
-    except (ValueError, EOFError, RuntimeError) as error:
-        raise ArchiveError(f"{_TITLE} stream is damaged") from error
 
 
 PPMD = Lossless(_TITLE, "variant H, order 6, 16 MiB", encode, decode)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import zstandard
 
-from salpcc.schemas.errors import ArchiveError
-from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked
+from salpcc.stages.residual_code.paper.lossless.lossless_coder import Lossless, checked, decoding
 
 _TITLE, _LEVEL = "Zstandard", 3
 
@@ -17,11 +16,9 @@ def encode(plain: bytes) -> bytes:
 
 def decode(data: bytes, size: int) -> bytes:
     """Expand; inverse of :func:`encode`."""
-    try:
+    with decoding(_TITLE, zstandard.ZstdError):
         # Not decompress(): it would allocate what the frame claims.
         plain = zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
-    except zstandard.ZstdError as error:
-        raise ArchiveError(f"{_TITLE} stream is damaged") from error
     return checked(_TITLE, plain, size)
 
 
