@@ -1,7 +1,7 @@
 """Fill the tables and plots of docs/figures.md from what was measured: ``python scripts/figures.py OUT… --bench BENCH.json``.
 
-A table stands between ``<!-- figures:begin NAME -->`` and ``<!-- figures:end -->``, where NAME is ``summary``, any table
-of the report in OUT (``sequences``, ``times``, ``table1``, ``groups``, ``baselines``, ``bd_rate``, ``table2`` to ``table5``,
+A table stands between ``<!-- figures:begin NAME -->`` and ``<!-- figures:end -->``, where NAME is any table of the
+report in OUT (``sequences``, ``times``, ``table1``, ``groups``, ``baselines``, ``bd_rate``, ``table2`` to ``table5``,
 ``fig8``, ``map``, ``ablation1`` …), or ``bench``, which ``python -m salpcc.stages.evaluate.studies.bench --json BENCH.json`` measures.
 A plot's NAME is its title in lower case with ``_`` for spaces (``rate_against_the_promised_error``); it is written
 beside the page. With several OUTs a block comes from the first that has it. Nothing between the markers is ever typed.
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from salpcc.stages.evaluate.report.layout.comparison_plots import comparison_plots
-from salpcc.stages.evaluate.report.layout.report_tables import all_tables, summary_table
+from salpcc.stages.evaluate.report.layout.report_tables import all_tables
 from salpcc.stages.evaluate.report.layout.tables import Column, Table
 
 BLOCK = re.compile(r"(<!-- figures:begin (\w+) -->\n).*?(<!-- figures:end -->)", re.DOTALL)
@@ -35,7 +35,7 @@ def fill(text: str, reports: Sequence[Mapping[str, Any]], bench: Mapping[str, An
     """
     tables: dict[str, str] = {}
     for report in reversed(reports):
-        for table in [summary_table(report), *all_tables(report)]:
+        for table in all_tables(report):
             tables[table.name] = f"{table.to_markdown()}\n\n{table.note} {provenance(report)}"
     tables |= {name: shown for name, (shown, _) in plots(reports).items()}
     if bench is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 from types import ModuleType
@@ -17,17 +16,6 @@ from salpcc.stages.evaluate.baselines.measure_baseline import measure
 from salpcc.stages.evaluate.report import write as report
 from salpcc.stages.evaluate.report.record import record
 from salpcc.stages.evaluate.report.schema import BASELINES, METRICS
-
-SCRIPT = Path(__file__).parents[2] / "scripts" / "figures.py"
-
-
-@pytest.fixture
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("figures", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -49,7 +37,7 @@ def out(tmp_path: Path) -> Path:
 
 def test_blocks_are_filled_and_the_rest_stays(script: ModuleType, out: Path, tmp_path: Path) -> None:
     page = tmp_path / "figures.md"
-    page.write_text("# Title\n<!-- figures:begin summary -->\nold 9.99\n<!-- figures:end -->\nend\n")
+    page.write_text("# Title\n<!-- figures:begin sequences -->\nold 9.99\n<!-- figures:end -->\nend\n")
     assert script.main([str(out), "--page", str(page), "--check"]) == 1
     assert script.main([str(out), "--page", str(page)]) == 0
     text = page.read_text()

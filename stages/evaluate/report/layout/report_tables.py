@@ -49,27 +49,6 @@ def sequence_table(report: Report) -> Table:
     return Table("sequences", "What it costs", columns, rows_of(report), note, last_is_total=True)
 
 
-def summary_table(report: Report) -> Table:
-    """The headline in few columns, for the README."""
-    wanted = [
-        "sequence",
-        "frames",
-        "points_in",
-        "bpp_geometry",
-        "bpp_intensity",
-        "bpp_total",
-        "compression_rate_percent",
-        "bit_exact_scans",
-        "points_lost",
-        "encode_ms_per_scan",
-        "decode_ms_per_scan",
-    ]
-    full = sequence_table(report)
-    by_key = {column.key: column for column in full.columns}
-    columns = tuple(by_key[key] for key in wanted)
-    return Table("summary", full.title, columns, full.rows, full.note, last_is_total=True)
-
-
 def bytes_table(report: Report) -> Table:
     """Bytes of each stream."""
     streams = [Column(f"bytes_{stream}", stream, ",") for stream in (*STREAMS, "total")]
