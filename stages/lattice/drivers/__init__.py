@@ -145,3 +145,16 @@ def driver_point(
     u, v = bearing_of(formula, sine, values, index, lasers[laser, 2], lasers[laser, 3])
     rho = np.float32(d * lasers[laser, 0])
     return np.float32(rho * u), np.float32(rho * v), np.float32(d * lasers[laser, 1])
+
+
+def measured(
+    driver: Driver, unit: float, laser: NDArray[np.int64], tick: NDArray[np.int64], count: NDArray[np.int64]
+) -> tuple[F32, F32]:
+    """Return what a driver with bearings had before it made points ``(N,)`` of lasers, ticks (0 <= tick < STEPS) and counts: ranges in metres, and azimuths in radians as :mod:`.hesai` has them."""
+    whole = (
+        count.astype(np.float32) * np.float32(unit) if driver.single else (count * unit).astype(np.float32)
+    )
+    azimuth = hesai.table(0)[(STEPS - tick) % STEPS, 0]
+    if driver.formula == "hesai":
+        azimuth = azimuth + driver.lasers[laser, 2]
+    return whole, azimuth

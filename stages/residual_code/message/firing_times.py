@@ -62,13 +62,13 @@ class Fired:
         return len(self.shift) - 1
 
 
-_ON_LATTICE = 0.01  # metres; with an error allowed points are half a level off
+ON_LATTICE = 0.01  # metres; with an error allowed points are half a level off
 
 
 def fired_by(sensor: SensorModel, points: NDArray[np.float32]) -> Fired:
     """Put decoded points ``(N, 3)`` on the lattice of their sensor."""
     laser, tick, _, off = aim(sensor, points.astype(np.float64))
-    lasers = np.where((laser >= 0) & (off < _ON_LATTICE), laser, sensor.n_lasers)
+    lasers = np.where((laser >= 0) & (off < ON_LATTICE), laser, sensor.n_lasers)
     return Fired(lasers, tick, np.append(sensor.shift, 0), sensor.ticks_per_turn)
 
 

@@ -27,6 +27,10 @@ from salpcc.stages.residual_code.message.records import RESIDUALS, SYMBOLS, Inte
 
 _RECORD = struct.Struct("<BBBBBII")  # a _Head, length
 _SAMPLE = 1 << 16
+_FEWEST = 500  # values of a field of decimals for which others are tried
+_PLAIN, _DISTANCE, _RANGE, _AZIMUTH = range(
+    4
+)  # what integers are measured against; the last two: by the driver
 
 
 class _Head(NamedTuple):
@@ -107,7 +111,8 @@ def decode_plain(
         data[at] in (RESIDUALS, SYMBOLS)
         and head.form <= (DECIMAL if kind.kind == "f" else BITS)
         and head.scale < len(SCALES)
-        and head.based < 2
+        and head.based <= _AZIMUTH
+        and (head.based <= _DISTANCE or (head.form == ORDERED and points.measured is not None))
         and head.void < 2
         and head.predictor < PREDICTORS
         and head.period in points.periods
@@ -121,7 +126,7 @@ def decode_plain(
         integers, sound = decode_symbols(flags, head.period, stream)
     require_sound(sound)
     if head.based:
-        integers = integers + _base(kind, head.form, points, base)
+        integers = integers + _base(kind, head.form, points, base, head.based)
     if head.form == DECIMAL:
         return from_scale(integers, head.scale, kind), start + length
     width = head.bits_of(kind)
@@ -134,24 +139,34 @@ def _forms(values: Values, points: Points, base: Values | None) -> list[tuple[in
     kind, width = values.dtype, 8 * values.dtype.itemsize
     bits = to_bits(values)
     if kind.kind != "f":
-        forms = [(BITS, 0, 0, bits)]
+        forms = [(BITS, 0, _PLAIN, bits)]
         if width >= 16:
-            forms.append((BITS, 0, 1, bits - _base(kind, BITS, points, base)))
+            forms.append((BITS, 0, _DISTANCE, bits - _base(kind, BITS, points, base)))
         return forms
     ordered = order(bits, width)
     if base is not None:
-        return [(ORDERED, 0, 1, ordered - _base(kind, ORDERED, points, base))]
+        return [(ORDERED, 0, _DISTANCE, ordered - _base(kind, ORDERED, points, base))]
     scale = find_scale(values)
-    if scale is not None:
-        return [(DECIMAL, scale, 0, to_scale(values, scale))]
-    return [(ORDERED, 0, 0, ordered), (ORDERED, 0, 1, ordered - _base(kind, ORDERED, points, None))]
+    decimal = [] if scale is None else [(DECIMAL, scale, _PLAIN, to_scale(values, scale))]
+    if decimal and len(values) < _FEWEST:
+        return decimal
+    against = [_DISTANCE]
+    if points.on_lattice and points.measured is not None:
+        against += [_RANGE, _AZIMUTH]
+    # Of long fields others are tried, too: a billionth divides any float32 that is not small.
+    forms = [(ORDERED, 0, what, ordered - _base(kind, ORDERED, points, None, what)) for what in against]
+    return [*decimal, (ORDERED, 0, _PLAIN, ordered), *forms]
 
 
-def _base(kind: np.dtype[Any], form: int, points: Points, base: Values | None) -> Integers:
-    """What a field is measured against: what was given, else the distance, in mm where it is an integer."""
+def _base(
+    kind: np.dtype[Any], form: int, points: Points, base: Values | None, what: int = _DISTANCE
+) -> Integers:
+    """What a field is measured against: what was given, else the distance, in mm where it is an integer, or range or azimuth by the driver."""
     if form == BITS:
         return np.rint(points.ranges * 1000.0).astype(np.int64)
     near = points.ranges.astype(kind) if base is None else base
+    if what > _DISTANCE and points.measured is not None:
+        near = points.measured[what - _RANGE].astype(kind)
     # What becomes of a NaN on the way to another type differs between machines.
     return np.where(np.isnan(near), 0, order(to_bits(near), 8 * kind.itemsize))
 

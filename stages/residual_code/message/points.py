@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.aim import lies_on
+from salpcc.stages.lattice.aim import aim, lies_on
+from salpcc.stages.lattice.drivers import TURNING, measured
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.blended_values import Around
-from salpcc.stages.residual_code.message.firing_times import Fired, fired_by
+from salpcc.stages.residual_code.message.firing_times import ON_LATTICE, Fired, fired_by
 from salpcc.stages.strays.timeline import LASERS, Passed, Timeline
 
 # What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide; its row and column, void points far away.
@@ -70,6 +71,19 @@ class Points:
             laser = self.timeline.laser.astype(np.int64)
             return Fired(laser, np.zeros_like(laser), np.zeros(LASERS + 1, np.int64), 1)
         return None if self.sensor is None else fired_by(self.sensor, self.xyz)
+
+    @cached_property
+    def measured(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+        """Ranges and azimuths ``(N,)`` by the driver of the sensor, distance and 0 of points without a place; None where no such driver is known."""
+        if self.sensor is None or self.sensor.driver is None or self.sensor.driver.formula not in TURNING:
+            return None
+        laser, tick, count, off = aim(self.sensor, self.xyz.astype(np.float64))
+        on = off < ON_LATTICE
+        found = measured(self.sensor.driver, self.sensor.count, laser[on], tick[on], count[on])
+        both = self.ranges.astype(np.float32), np.zeros(len(on), np.float32)
+        for values, told in zip(both, found, strict=True):
+            values[on] = told
+        return both
 
     def of_rows(self, values: NDArray[Any]) -> bool:
         """Whether values ``(N,)`` are of an organised cloud, and wide enough to follow from its columns."""

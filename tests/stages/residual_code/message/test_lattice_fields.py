@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.number_forms import from_spans, spans_of
-from salpcc.stages.lattice.lattice import unproject
-from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.drivers import FORMULAS, Driver
+from salpcc.stages.lattice.lattice import driven, unproject
+from salpcc.stages.lattice.sensor_model import SensorModel, with_driver
 from salpcc.stages.residual_code.message.blended_values import MOST, decode_blended, encode_blended
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.points import Points
@@ -52,6 +53,41 @@ def coded(values: np.ndarray, points: Points) -> bytes:
     assert end == len(data)
     assert back.tobytes() == values.tobytes()
     return data
+
+
+@pytest.mark.parametrize("formula", ["nebula", "hesai", None])
+def test_distances_and_azimuths_are_those_of_the_driver(formula: str | None) -> None:
+    """Whatever multiples they also are: a billionth divides every float32 above a few centimetres."""
+    rng = np.random.default_rng(4)
+    offset = (
+        np.radians(np.linspace(-3, 3, LASERS)).astype(np.float32)
+        if formula == "hesai"
+        else np.zeros(LASERS, np.float32)
+    )
+    rows = [FORMULAS[formula or "hesai"].row(0, angle) for angle in offset]
+    bare = sensor()
+    lasers = np.column_stack([np.cos(bare.theta), np.sin(bare.theta), rows]).astype(np.float32)
+    told = with_driver(bare, Driver(formula or "hesai", "rounded", True, lasers))
+    laser, index = np.tile(ORDER, FIRINGS), np.repeat(np.arange(FIRINGS) * 20, LASERS)
+    count = rng.integers(300, 20_000, len(laser))
+    xyz = driven(told, laser.astype(np.uint8), ((36_000 - index) % 36_000).astype(np.int32), count).astype(
+        np.float32
+    )
+    xyz[::200] = rng.uniform(0.5, 9, (len(xyz[::200]), 3))  # off the lattice
+    points = Points.of(xyz, 0, told if formula else None)
+    distance = count.astype(np.float32) * np.float32(0.002)
+    azimuth = (index * 0.01 * np.pi / 180).astype(np.float32) + offset[laser]
+    sizes = [
+        8 * len(coded(values, points)) / len(values)
+        for values in (distance, azimuth, azimuth.astype(np.float64))
+    ]
+    assert sizes[0] < (1.0 if formula else 4.0)
+    if formula:
+        assert sizes[1] < 1.0
+        assert sizes[2] < 1.5
+        record = encode_field(distance, points)
+        with pytest.raises(ArchiveError):
+            decode_field(record, 0, distance.dtype, Points.of(xyz, 0, None))
 
 
 def test_rings_cost_nothing(listed) -> None:
