@@ -108,6 +108,8 @@ def cli() -> Callable[..., subprocess.CompletedProcess[str]]:
             chdir(cwd or "."),
         ):
             patch.setattr("sys.argv", ["salpcc-pipeline", *map(str, words)])
+            for command in ("run_sequences", "maps"):  # what ends at once leaves no process behind
+                patch.setattr(f"salpcc.pipeline.cli.{command}.start_fork_server", lambda *_, **__: None)
             with pytest.raises(SystemExit) as end:
                 main()
         return subprocess.CompletedProcess(words, int(end.value.code or 0), out.getvalue(), said.getvalue())
