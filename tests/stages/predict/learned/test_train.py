@@ -44,7 +44,7 @@ def test_more_training_makes_fewer_bytes(
 
 
 def test_no_sweeps_is_an_error(sensor: SensorModel, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no sweeps"):
+    with pytest.raises(UsageError, match="no scans to train on"):
         train_coder([], sensor, tmp_path)
 
 

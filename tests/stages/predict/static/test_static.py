@@ -146,7 +146,7 @@ def test_tables_follow_the_sweeps_they_are_counted_from(
     found = coder.contexts(starts, sweep.tick, sweep.count, 1, sensor)
     sizes = [len(coder.encode_levels(found.of_levels, found.residual, 1, t)) for t in (own, shipped())]
     assert sizes[0] < sizes[1]
-    with pytest.raises(UsageError, match="no sweeps"):
+    with pytest.raises(UsageError, match="no scans to train on"):
         train_tables([], sensor, tmp_path, lambda _: None)
 
 
