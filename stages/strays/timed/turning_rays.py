@@ -1,7 +1,7 @@
 """The rays of lasers that turn steadily on a vehicle that moves: where a laser looked at a time, from a few numbers of a scan.
 
 With the time t of a point (of the list, -1/2 to 1/2), its laser's elevation e and azimuth a, and of its sensor the place o, the rotation R
-(a vector, :func:`~salpcc.stages.lattice.untwist.rotated`), the turning rate w, and the motion (v, u) of the vehicle::
+(a vector, by which :func:`~salpcc.stages.lattice.untwist.moved` turns), the turning rate w, and the motion (v, u) of the vehicle::
 
     ray = Q(t u) R (cos e cos(a + w t + c), cos e sin(a + w t + c), sin e)          origin = Q(t u) o + t v
 
