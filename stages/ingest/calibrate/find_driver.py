@@ -40,7 +40,7 @@ I64 = NDArray[np.int64]
 
 
 def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | None:
-    """Return the model with the driver that made points ``(N, 3)`` of lasers ``(N,)`` (-1: not known); None where none is found."""
+    """Return the model with the driver that made points ``(N, 3)`` of lasers ``(N,)`` (-1: not known), the likeliest one where it is not sure; None where there is none."""
     levers = np.abs(np.stack([model.h, model.z0, model.d0]))
     if np.median(levers, axis=1).max() > _LEVER:  # of a laser with few points there may be any
         points, laser = _few_of_each(points, laser, model.n_lasers)
@@ -63,7 +63,7 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
             if share > _SURE:
                 break
     if best is None or best[0] < _HOLDS:
-        return None
+        return _in_float64(model)
     kind = best[1]
     d = _ranges(reach, model.count, kind.single)
     rows = [_laser(points[some], d[some], kind.formula, SINES.index(kind.sine))[0] for some in own]
@@ -177,6 +177,13 @@ def _ouster(model: SensorModel) -> list[SensorModel]:
     return tried
 
 
+def _in_float64(model: SensorModel) -> SensorModel:
+    """The model with angles in whole millidegrees and nothing rounded before the end, which is Ouster's formula with beams from the axis; for the caller to try."""
+    angles = [np.rint(np.degrees(angle) * 1000.0) for angle in (model.theta, np.pi - model.phi0)]
+    rows = np.stack([*angles, *np.zeros((2, model.n_lasers))], axis=1).astype(np.float32)
+    return with_driver(model, Driver("ouster", "rounded", False, rows, model.ticks_per_turn))
+
+
 def _ranges(reach: F64, unit: float, single: bool) -> F32:
     """The ranges of a driver, from distances ``(N,)``."""
     counts = np.rint(reach / unit)
@@ -207,7 +214,13 @@ def _laser(
     sin_e, _ = _elevation(points[:, 2], d)
     cosines = _cosines(sin_e)
     x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
-    ways = {"velodyne": (-y, x), "hesai": (x, y), "pandar": (y, -x), "nebula": (-y, x)}
+    ways = {
+        "velodyne": (-y, x),
+        "hesai": (x, y),
+        "pandar": (y, -x),
+        "nebula": (-y, x),
+        "pandar_degrees": (y, -x),
+    }
     turns = np.arctan2(*ways[formula]) / (2 * np.pi) * STEPS
     phase = float(np.angle(np.exp(2j * np.pi * turns).mean()) / (2 * np.pi))
     part = slice(0, _REFINED)

@@ -93,13 +93,13 @@ def fit_sensor(scans: Sequence[Listed], name: str, rounded: bool) -> Fit:
 
 
 def _fit_shipped(scans: list[Listed], name: str, least: float) -> Fit | None:
-    """A shipped model, where it gives back most of all returns to the bit, and more of them than ``least``."""
+    """A shipped model, where most of all returns lie on its lattice, and it gives back more of them to the bit than ``least``."""
     points = [scan.points.astype(np.float32) for scan in scans]
     for sensor in (load_sensor(file.stem) for file in sorted(SENSORS.glob("*.json"))):
         if sensor.driver is None or not share_on(sensor, points[0]) > _PROVEN:
             continue
         share = share_identical(sensor, np.concatenate(points))
-        if share > max(least, _PROVEN):
+        if share > least:
             return _fit_of(replace(sensor, name=name, bit_identical_share=round(share, 6)), scans)
     return None
 

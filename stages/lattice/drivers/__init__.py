@@ -1,6 +1,6 @@
 """Drivers: the arithmetic, in float32, by which a sensor's driver made points of counts and azimuth indices.
 
-One file a formula. Those of Velodyne and Hesai (two each) have cosine and sine of the laser's elevation e as float32, and turn the same way: with the range
+One file a formula. Those of Velodyne (two) and Hesai (three) have cosine and sine of the laser's elevation e as float32, and turn the same way: with the range
 ``d`` and a *bearing* (u, v) of the laser at the azimuth index, every product rounded to float32::
 
     x = (d cos e) u          y = (d cos e) v          z = d sin e
@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.drivers import hesai, nebula, ouster, pandar, velodyne
+from salpcc.stages.lattice.drivers import hesai, nebula, ouster, pandar, pandar_degrees, velodyne
 from salpcc.stages.lattice.trig import arctan2
 
 FORMULAS: dict[str, ModuleType] = {
@@ -29,10 +29,17 @@ FORMULAS: dict[str, ModuleType] = {
     "ouster": ouster,
     "pandar": pandar,
     "nebula": nebula,
+    "pandar_degrees": pandar_degrees,
 }
-TURNING = ("nebula", "velodyne", "hesai", "pandar")  # those with bearings, as they are tried
+TURNING = (
+    "nebula",
+    "velodyne",
+    "hesai",
+    "pandar",
+    "pandar_degrees",
+)  # those with bearings, as they are tried
 SINES = ("rounded", "polynomial")  # the kinds of :mod:`.sines`
-NO_FORMULA, VELODYNE, HESAI, OUSTER, PANDAR, NEBULA = -1, 0, 1, 2, 3, 4
+NO_FORMULA, VELODYNE, HESAI, OUSTER, PANDAR, NEBULA, PANDAR_DEGREES = -1, 0, 1, 2, 3, 4, 5
 STEPS = 36_000  # azimuth indices in a turn, unless a driver says otherwise
 _MOST_STEPS = 1 << 16
 _ROWS = 4  # numbers of a laser
@@ -127,7 +134,7 @@ def bearing_of(
     """Return the bearing of a laser of the row's numbers a and b, by one of the formulas that have it."""
     if formula in (VELODYNE, NEBULA):
         return velodyne.bearing(values, index, a, b)
-    if formula == PANDAR:
+    if formula in (PANDAR, PANDAR_DEGREES):
         return pandar.bearing(values, index, a, b)
     return hesai.bearing(sine, values, index, a)
 

@@ -63,8 +63,10 @@ def turn(formula: str, single: bool) -> tuple[np.ndarray, np.ndarray, float]:
     if formula == "hesai":
         a = ((index * 0.01 * np.pi / 180).astype(F) + o).astype(float)
         return np.stack([rho * np.sin(a).astype(F), rho * np.cos(a).astype(F), z], axis=1), laser, unit
-    if formula == "pandar":
+    if formula.startswith("pandar"):
         a = (index.astype(F) * F(2 * np.pi / 36_000)).astype(float)
+        if formula == "pandar_degrees":
+            a = ((index.astype(F) * F(0.01)).astype(float) * np.pi / 180).astype(F).astype(float)
         c, s, co, so = (f(v).astype(F) for v in (a, o.astype(float)) for f in (np.cos, np.sin))
         return np.stack([-rho * (c * co - s * so), rho * (s * co + c * so), z], axis=1), laser, unit
     a = (index.astype(F) * F(0.01)).astype(float) if formula == "velodyne" else index * 0.01
@@ -94,6 +96,22 @@ def test_calibration_finds_the_driver(formula: str, single: bool) -> None:
         _, back, _, sound = decode_strays(len(points), bound, np.frombuffer(bytearray(data), np.uint8), again)
         assert sound
         assert np.linalg.norm(back.astype(np.float64) - points, axis=1).max() <= bound
+
+
+def test_calibration_finds_a_driver_that_computes_in_float64() -> None:
+    points, laser, unit = turn("hesai", False)
+    rng = np.random.default_rng(1)
+    elevation, offset = (
+        np.radians(np.round(np.linspace(*ends, LASERS), 3))[laser] for ends in ((-14, 12), (-3.1, 2.7))
+    )
+    azimuth = np.radians(rng.integers(0, 600, len(laser)) * 0.6) + offset
+    d = np.rint(np.linalg.norm(points.astype(np.float64), axis=1) / unit) * unit
+    rho = d * np.cos(elevation)
+    points = np.stack([rho * np.sin(azimuth), rho * np.cos(azimuth), d * np.sin(elevation)], axis=1).astype(F)
+    model = fit_sensor([Listed(points.astype(np.float64), laser)], "x", rounded=False).model
+    assert model.driver is not None
+    assert model.driver.steps == model.ticks_per_turn == 600
+    assert model.bit_identical_share > 0.98
 
 
 def columns(
