@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -23,6 +23,9 @@ from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
 from salpcc.schemas.files import atomic, location
 from salpcc.schemas.work import STAGES
+
+if TYPE_CHECKING:
+    from salpcc.stages.lattice.sensor_model import SensorModel
 
 
 def register(app: typer.Typer) -> None:
@@ -70,7 +73,7 @@ def log(
         str,
         typer.Option(
             metavar="NAME|FILE|auto",
-            help="The sensor's model: a shipped one, a JSON file, or auto: the shipped one that the first clouds are of, whichever unit, else one that is calibrated on them.",
+            help="The sensor's model, of whichever unit: a shipped one, a JSON file, or auto: the shipped one that the first clouds are of, whichever unit, else one that is calibrated on them.",
             rich_help_panel=CODING,
         ),
     ] = "auto",
@@ -90,9 +93,10 @@ def log(
 
     with starting():
         from salpcc.pipeline.run import RunRequest
-        from salpcc.pipeline.sensors.choose_sensor import AUTO, OWN, choose_sensor
+        from salpcc.pipeline.sensors.choose_sensor import AUTO, OWN, choose_sensor, choose_unit
         from salpcc.stages.evaluate.baselines import names as baseline_names
         from salpcc.stages.ingest.sources.bag import Bag, no_log
+        from salpcc.stages.lattice.sensor_model import load_sensor
 
     if not file.exists():
         raise UsageError(f"{file}: not found. {Bag.hint}")
@@ -114,13 +118,16 @@ def log(
             else f"sensor: no shipped model fits, nor is one found; `salpcc-pipeline calibrate {file} --out sensor.json` may find one in more clouds"
         )
         if unit is not None:
-            model = out / "sensors" / f"{names[0]}.json"
-            with atomic(model) as stream:
-                stream.write(unit.to_json().encode())
+            model = _written(unit, out, names[0])
             kind = "the model" if sensor == OWN else "it is another unit, whose model"
             sensor, told = str(model), f"{told}; {kind} is {model}"
         if share is not None:
             STDERR.print(told, soft_wrap=True, style="dim")
+    elif (other := choose_unit(file, names[0], tuple(topic or ()), load_sensor(sensor))) and other.unit:
+        model = _written(other.unit, out, names[0])
+        told = f"sensor: the clouds are of another unit than {sensor}, {other.share:.0%} of the returns of the first ones lie on the lattice of {model}"
+        STDERR.print(told, soft_wrap=True, style="dim")
+        sensor = str(model)
     config = config_of(
         RunConfig,
         source=Bag.name,
@@ -148,3 +155,11 @@ def log(
         command=command_line(),
     )
     execute(request, json_)
+
+
+def _written(model: SensorModel, out: Path, name: str) -> Path:
+    """Write the model of a log's own sensor into the output folder."""
+    file = out / "sensors" / f"{name}.json"
+    with atomic(file) as stream:
+        stream.write(model.to_json().encode())
+    return file

@@ -28,7 +28,11 @@ _CLOUDS = 2  # of each topic
 _FITTED = 4  # of the topic with most points, that a model is fitted to
 _LEAST = 0.5  # of the returns that must lie on the lattice
 _NEAR, _NEARLY = 0.002, 0.9  # metres from it, and of the returns that must be so near
-_PROVEN = 0.9  # of the returns, that must come back to the bit for nothing else to be tried
+_PROVEN, _SURE = (
+    0.9,
+    0.999,
+)  # of the returns, that must come back to the bit for nothing else to be tried; of another unit's
+_MORE = 1.3  # times the lasers that clouds show, that their sensor may have
 _BESIDE = 0.1  # metres that another unit's lasers may make of their looking elsewhere
 
 
@@ -51,10 +55,8 @@ def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> Chosen:
     Clouds may be of another unit than the one that a shipped model is of: then every laser's own numbers are found again; or of a sensor, or by a driver, that no shipped model is of: then a model is fitted, as ``calibrate`` does. They may be of
     a sensor whose driver was another, which rounds azimuths otherwise or not at all: then nearly all of them are next to the lattice, and corrections are small.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LogWarning)
-        many = _first_clouds(log, sequence, topics)
-    clouds = [scan for scans in many for scan in scans[:_CLOUDS]]
+    many = _first_clouds(log, sequence, topics)
+    clouds = _few(many)
     if not clouds:
         return Chosen(OTHERWISE, None)
     sensors = [load_sensor(file.stem) for file in sorted(SENSORS.glob("*.json"))]
@@ -67,7 +69,7 @@ def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> Chosen:
     best, share = _best(sensors, clouds, _share_moved)
     if share > _LEAST:
         return Chosen(best.name, share)
-    found = _find_unit(sensors, clouds)
+    found = _find_unit(sensors, [scan for scans in many for scan in scans])
     if found is not None:
         return found
     own = _fitted(max(many, key=lambda scans: sum(map(len, scans))))
@@ -83,6 +85,33 @@ def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> Chosen:
     if share <= _NEARLY:
         return Chosen(OTHERWISE, 0.0)
     return Chosen(OWN, share, _NEAR, own) if best is own else Chosen(best.name, share, _NEAR)
+
+
+def choose_unit(log: Path, sequence: str, topics: tuple[str, ...], sensor: SensorModel) -> Chosen | None:
+    """Choose the unit of a given sensor that the first clouds of a log are of; None where they lie on its own lattice, or are of no other unit of it."""
+    if sensor.driver is None:
+        return None
+    many = _first_clouds(log, sequence, topics)
+    clouds = _few(many)
+    if not clouds or max(_mean(sensor, clouds, share_of) for share_of in (_share, _share_moved)) > _LEAST:
+        return None
+    every = [scan for scans in many for scan in scans]
+    found = _find_unit([sensor], every)
+    same = 0.0 if found is None or found.unit is None else _identical(found.unit, every)
+    if same > _SURE:
+        return found
+    own = _fitted(max(many, key=lambda scans: sum(map(len, scans))))
+    if own is None or not own.n_lasers <= _MORE * sensor.n_lasers <= _MORE**2 * own.n_lasers:
+        return found
+    share = _mean(own, every, _share)
+    return (
+        Chosen(sensor.name, share, unit=own) if share > _NEARLY and _identical(own, every) > same else found
+    )
+
+
+def _few(many: list[list[Scan]]) -> list[Scan]:
+    """The clouds of all topics that models are tried on."""
+    return [scan for scans in many for scan in scans[:_CLOUDS]]
 
 
 def _fitted(scans: list[Scan]) -> SensorModel | None:
@@ -155,20 +184,22 @@ def _share_moved(sensor: SensorModel, scan: Scan) -> float:
 def _first_clouds(log: Path, sequence: str, topics: tuple[str, ...]) -> list[list[Scan]]:
     """The first clouds of each topic that can be read and are not empty; topics without any are left out."""
     bag = Bag()
-    try:
-        refs = bag.scans(log, sequence, topics)
-    except SourceError:  # the run will say so
-        return []
     many: list[list[Scan]] = []
-    for topic in sorted({ref.topic for ref in refs}):
-        clouds = []
-        for ref in islice((ref for ref in refs if ref.topic == topic), _FITTED):
-            try:
-                scan = bag.read(ref, with_labels=False)
-            except SourceError:
-                continue
-            if len(scan):
-                clouds.append(scan)
-        if clouds:
-            many.append(clouds)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)  # the run will say so
+        try:
+            refs = bag.scans(log, sequence, topics)
+        except SourceError:
+            return []
+        for topic in sorted({ref.topic for ref in refs}):
+            clouds = []
+            for ref in islice((ref for ref in refs if ref.topic == topic), _FITTED):
+                try:
+                    scan = bag.read(ref, with_labels=False)
+                except SourceError:
+                    continue
+                if len(scan):
+                    clouds.append(scan)
+            if clouds:
+                many.append(clouds)
     return many

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from salpcc.pipeline.sensors import choose_sensor as module
-from salpcc.pipeline.sensors.choose_sensor import OTHERWISE, OWN, choose_sensor
+from salpcc.pipeline.sensors.choose_sensor import OTHERWISE, OWN, choose_sensor, choose_unit
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.lattice.aim import share_on
@@ -22,7 +22,7 @@ SHIPPED = sorted(path.stem for path in SENSORS.glob("*.json"))
 def chosen(monkeypatch: pytest.MonkeyPatch):
     """What is chosen for a log of one topic of such points."""
 
-    def choose(points: np.ndarray) -> tuple[str, float | None]:
+    def choose(points: np.ndarray, asked: SensorModel | None = None) -> tuple[str, float | None]:
         class Log:
             def scans(self, log, sequence, topics):
                 return [ScanRef(f"{i:06d}", i, i, str(log), topic="/points") for i in range(2)]
@@ -31,6 +31,8 @@ def chosen(monkeypatch: pytest.MonkeyPatch):
                 return Scan(ref.name, points, np.zeros(len(points), np.float32))
 
         monkeypatch.setattr(module, "Bag", Log)
+        if asked is not None:
+            return choose_unit(Path("drive.mcap"), "drive", (), asked)
         return choose_sensor(Path("drive.mcap"), "drive", ())
 
     return choose
@@ -73,6 +75,9 @@ def test_finds_another_unit_whose_lasers_look_elsewhere(name: str, chosen) -> No
     assert found.unit.bit_identical_share > 0.99
     assert found.unit.name == shipped.name
     assert np.abs(found.unit.theta - unit.theta).max() < 1e-6
+    of_given = chosen(points, shipped)
+    assert of_given.unit.to_json() == found.unit.to_json()
+    assert chosen(points, unit) is None
 
 
 def with_lasers_of(name: str, shipped: SensorModel, formula: str, few: slice, aside: float) -> SensorModel:
@@ -100,6 +105,12 @@ def test_fits_a_model_where_no_shipped_one_gives_the_floats_back(
     assert found.unit.driver.formula == formula
     assert found.unit.n_lasers == truth.n_lasers
     assert found.unit.bit_identical_share > 0.98
+
+
+def test_a_given_sensor_of_quite_other_lasers_is_left_alone(chosen) -> None:
+    points = cloud_of(load_sensor("vlp16"))
+    assert chosen(points, load_sensor("vls128")) is None
+    assert chosen(points[:0], load_sensor("vls128")) is None
 
 
 @pytest.mark.parametrize("name", ["vlp16", "xt32", "hdl32e"])
