@@ -92,9 +92,13 @@ _LAYER_FIELDS = [
     pa.field("data", pa.large_binary(), nullable=False),
     pa.field("coded_labels", pa.large_binary(), nullable=False),  # empty where there are none
 ]
-# Of both layers by laser: returns, and the bits of their ranges; for the catalogue only.
-OF_LASERS = pa.schema(
-    [pa.field("laser_returns", list_of(pa.int32())), pa.field("laser_bits", list_of(pa.float32()))]
+# Of both layers: by laser the returns, and the bits of their ranges; and the returns that need no correction. For the report only.
+OF_RETURNS = pa.schema(
+    [
+        pa.field("laser_returns", list_of(pa.int32())),
+        pa.field("laser_bits", list_of(pa.float32())),
+        pa.field("bit_identical", pa.int64()),  # null where all points are strays
+    ]
 )
 PAYLOAD = pa.schema(
     [
@@ -103,13 +107,13 @@ PAYLOAD = pa.schema(
         pa.field("frame_id", pa.string(), nullable=False),
         *_LAYER_FIELDS,
         pa.field("movable", pa.struct(_LAYER_FIELDS)),
-        *OF_LASERS,
+        *OF_RETURNS,
         _DROPPED,
         _FOUND,
     ]
 )
 
-ASIDE = ("dropped_classes", "found_classes", *OF_LASERS.names)  # in no archive
+ASIDE = ("dropped_classes", "found_classes", *OF_RETURNS.names)  # in no archive
 
 # The schema that each stage's table has; evaluate owns its own (one row per scan, any columns).
 

@@ -26,6 +26,7 @@ def test_semantickitti_comes_back_byte_for_byte(real_data: Path, tmp_path: Path)
         assert figures["bit_exact_scans"] == figures["frames"] == scans
         assert figures["bpp"]["geometry"] < 7.7 and figures["bpp"]["intensity"] < 4.6
         assert figures["points_on_fallback"] < 1e-3 * figures["points_in"]
+        assert 0.99 * figures["points_in"] < figures["points_bit_identical"] < figures["points_in"]
         assert figures["points_decoded"] == figures["points_in"]
         cli("decode", tmp_path / "archives" / f"{sequence}.mcap", "--to", "kitti", "--out", tmp_path / "back")
         for path in (root / "sequences" / sequence / "velodyne").glob("*.bin"):

@@ -23,7 +23,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import ArchiveError, SourceError
 from salpcc.schemas.files import unreachable
 from salpcc.schemas.scan import Scan
-from salpcc.schemas.shards import ASIDE, OF_LASERS, list_array
+from salpcc.schemas.shards import ASIDE, OF_RETURNS, list_array
 from salpcc.schemas.work import GopSource, Known, ScanRef, ShardRef, digest_of
 from salpcc.stages.coding import STAGES
 from salpcc.stages.evaluate import stage as evaluate
@@ -37,7 +37,7 @@ from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
-from salpcc.stages.residual_code.sensor.scan_coder import points_off_lattice
+from salpcc.stages.residual_code.sensor.scan_coder import is_unmoved, points_off_lattice
 
 _warm: set[str] = set()  # efforts that this process has decoded
 
@@ -179,7 +179,7 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
         entries = reader.entries[gop.number]
         names = {entry.name for entry in entries}
         layers = {payload.entry.name: payload for payload in moving}
-        dropped, found, of_lasers = _aside(store, gop, inputs)
+        dropped, found, of_returns = _aside(store, gop, inputs)
         if reader.movable == "layered":  # it is all there
             dropped = dict.fromkeys(names)
         refs = [scan for scan in gop.scans if scan.name in names]
@@ -192,13 +192,14 @@ def evaluate_gop(gop: GopSource, inputs: str, config: RunConfig, out: Path, redo
                     vars(entry)
                     | {"movable": reader.movable}
                     | _of_layers(payload, layers.get(payload.entry.name))
-                    | _off_lattice(config, payload, layers.get(payload.entry.name))
-                    | of_lasers.get(entry.name, {})
+                    | _on_lattice(config, payload, layers.get(payload.entry.name))
+                    | of_returns.get(entry.name, {})
                     for entry, payload in zip(entries, payloads, strict=True)
                 ]
             ),
             sequence=gop.sequence,
             gop=gop.number,
+            sensor=reader.facts.sensor,
             max_error=config.largest_error,
             dropped=dropped,
             found=found,
@@ -220,7 +221,7 @@ _Aside = dict[str, NDArray[np.uint8] | None]
 def _aside(
     store: ShardStore, gop: GopSource, inputs: str
 ) -> tuple[_Aside, _Aside, dict[str, dict[str, Any]]]:
-    """By scan, the classes of what was dropped, those of all points as they were found, and what is known of the lasers.
+    """By scan, the classes of what was dropped, those of all points as they were found, and what is known of the returns.
 
     Empty where nobody put them aside (another run's archive).
     """
@@ -233,8 +234,8 @@ def _aside(
         {name: list_array(table, column, row) for row, name in enumerate(names)}
         for column in ("dropped_classes", "found_classes")
     )
-    of_lasers = table.select(list(OF_LASERS.names)).to_pylist()
-    return dropped, found, dict(zip(names, of_lasers, strict=True))
+    of_returns = table.select(list(OF_RETURNS.names)).to_pylist()
+    return dropped, found, dict(zip(names, of_returns, strict=True))
 
 
 def _of_layers(static: ScanPayload, movable: ScanPayload | None) -> dict[str, Any]:
@@ -245,10 +246,13 @@ def _of_layers(static: ScanPayload, movable: ScanPayload | None) -> dict[str, An
     return {"points_movable": entry.kept, "bytes_movable": entry.bytes, "checksum": checksum}
 
 
-def _off_lattice(config: RunConfig, static: ScanPayload, movable: ScanPayload | None) -> dict[str, int]:
-    """Points of a scan that no lattice of its sensor explains; the grid of profile ``paper`` has none."""
+def _on_lattice(config: RunConfig, static: ScanPayload, movable: ScanPayload | None) -> dict[str, Any]:
+    """Points of a scan that no lattice of its sensor explains, and whether its points lie where the sensor saw them; the grid of profile ``paper`` has none."""
     layers = [static, *([movable] if movable else [])] if config.profile == "sensor" else []
-    return {"off_lattice": sum(points_off_lattice(layer.data) for layer in layers)}
+    return {
+        "off_lattice": sum(points_off_lattice(layer.data) for layer in layers),
+        "unmoved": bool(layers) and all(is_unmoved(layer.data) for layer in layers),
+    }
 
 
 def _warm_up(reader: ArchiveReader, gop: int) -> None:

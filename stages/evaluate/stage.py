@@ -30,6 +30,8 @@ from salpcc.stages.evaluate.measures.metrics import (
 from salpcc.stages.evaluate.report.schema import METRICS, VERSION
 from salpcc.stages.ingest.paper_grid import source_of
 from salpcc.stages.ingest.point_cloud import same_message
+from salpcc.stages.lattice.aim import given_back
+from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.segment.confusion import class_confusion, group_counts
 
 __all__ = ["VERSION", "run"]
@@ -44,6 +46,7 @@ def run(
     *,
     sequence: str,
     gop: int,
+    sensor: SensorModel | None = None,
     max_error: float = 0.0,
     dropped: _Dropped | None = None,
     found: _Dropped | None = None,
@@ -58,6 +61,8 @@ def run(
         originals: the source scans in the same order; None where there is none to compare with.
         payloads: rows of the same scans with columns ``name``, ``n_points``, ``kept``, ``dropped_movable``,
             ``geometry``, ``intensity``, ``classes``, ``side`` (the PAYLOAD table), and ``off_lattice``: points that no lattice explains.
+            Where they are known, ``bit_identical``: points that need no correction, and ``unmoved``: whether all lie where the sensor saw them.
+        sensor: the archive's.
         max_error: the asked 3-D bound in metres, 0 for bit-exact.
         dropped: by scan the class ``(N,)`` of each source point that the task dropped, KEPT elsewhere (None: it
             dropped nothing). Without it, what was kept is found again and taken for movable what was not, and
@@ -83,6 +88,7 @@ def run(
             )
         row = _sizes(payload) | {"sequence": sequence, "gop": gop, "time": scan.time, "decode_ms": decode_ms}
         row["points_decoded"] = len(scan)
+        row["points_bit_identical"] = _bit_identical(payload, scan, sensor, max_error)
         row["motion"] = scan.motion
         row["bytes_source"] = row["points_in"] * (
             scan.cloud.layout.point_step if scan.cloud else SOURCE_BYTES_PER_POINT
@@ -100,6 +106,17 @@ def run(
                 )
         rows.append(row)
     return pa.Table.from_pylist(rows, schema=METRICS)
+
+
+def _bit_identical(
+    payload: Mapping[str, Any], scan: Scan, sensor: SensorModel | None, max_error: float
+) -> int | None:
+    """Points of a scan that laser, tick and count give back bit for bit, as the encoder counted them, else by the model; None where it cannot tell."""
+    if payload.get("bit_identical") is not None or max_error > 0:
+        return payload.get("bit_identical") or 0
+    if sensor is None or not payload.get("unmoved"):
+        return None
+    return int(given_back(sensor, scan.points).sum()) if sensor.driver is not None else 0
 
 
 def _timed(decoded: Iterable[Scan]) -> Iterator[tuple[Scan | None, float]]:

@@ -1,6 +1,6 @@
 """Any point on the lattice of a known sensor: the laser, tick and count that come nearest to it, and the point that they make.
 
-:mod:`~salpcc.stages.evaluate.baselines.measure_baseline` does this for files of rings on a 1 mm grid; here points are floats in any order.
+:mod:`~salpcc.stages.lattice.measure` does this for files of rings on a 1 mm grid; here points are floats in any order.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.lattice import laser_constants, model_point, project_point
+from salpcc.stages.lattice.lattice import driven, laser_constants, model_point, project_point
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import turn_tables
 
@@ -103,3 +103,12 @@ def share_on(sensor: SensorModel, points: NDArray[np.float32], within: float = _
     sample = points[:: len(points) // _SAMPLE + 1].astype(np.float64)
     off = aim(sensor, sample[np.abs(sample).max(axis=1, initial=0.0) > 0])[3]
     return float((off < within).mean()) if len(off) > _SAMPLE // 10 else 0.0
+
+
+def given_back(sensor: SensorModel, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Mark the points ``(N, 3)`` that the model makes of their laser, tick and count bit for bit."""
+    laser, tick, count, _ = aim(sensor, points.astype(np.float64))
+    known = np.maximum(laser, 0).astype(np.uint8)
+    model = driven(sensor, known, tick.astype(np.int32), count.astype(np.float64)).astype(np.float32)
+    same: NDArray[np.bool_] = (model.view(np.int32) == points.view(np.int32)).all(axis=1)
+    return same & (laser >= 0)

@@ -23,6 +23,7 @@ from salpcc.schemas.shards import (
     table_to_sweeps,
 )
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.lattice.lattice import NO_CORRECTION
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.predict.laser_bits import laser_bits
 from salpcc.stages.predict.ring_starts import ring_starts
@@ -33,7 +34,7 @@ from salpcc.stages.residual_code.paper.grid_streams import GridState
 from salpcc.stages.residual_code.sensor.scan_coder import points_off_lattice
 from salpcc.stages.residual_code.stream import Payload
 
-VERSION = 12
+VERSION = 13
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
@@ -57,7 +58,7 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
         labels_ms += 1e3 * (time.thread_time() - start)
         return _layer(sweep, payload, dropped) | {"coded_labels": coded}
 
-    for i, (sweep, payload, movable, of_lasers) in enumerate(coded):
+    for i, (sweep, payload, movable, of_returns) in enumerate(coded):
         dropped = task.column("dropped_movable")[i].as_py()
         rows.append(
             {
@@ -66,7 +67,7 @@ def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfi
                 "frame_id": sweep.frame_id,
                 **layer(sweep, payload, dropped),
                 "movable": movable and layer(*movable, 0),
-                **of_lasers,
+                **of_returns,
             }
         )
     of_task = ("dropped_classes", "found_classes")
@@ -90,7 +91,7 @@ def _layer(sweep: Sweep | GridSweep, payload: Payload, dropped: int) -> dict[str
     }
 
 
-# A scan or its static layer, the movable one, and what is known of its lasers.
+# A scan or its static layer, the movable one, and what is known of its returns.
 _Coded = tuple[Sweep | GridSweep, Payload, tuple[Sweep, Payload] | None, dict[str, Any]]
 
 
@@ -101,19 +102,24 @@ def _sweeps(task: pa.Table, prediction: pa.Table, config: RunConfig) -> Iterator
     layers, guessed = table_to_movable(task), table_to_movable_predictions(prediction)
     if layers is None or guessed is None:
         for static in coded:
-            yield *static[:2], None, _of_lasers(sensor, static)
+            yield *static[:2], None, _of_returns(sensor, static)
         return
     moving = zip(layers, encode_gop(layers, sensor, config.effort, guessed, sweeps), guessed, strict=True)
     for static, movable in zip(coded, moving, strict=True):
-        yield *static[:2], movable[:2], _of_lasers(sensor, static, movable)
+        yield *static[:2], movable[:2], _of_returns(sensor, static, movable)
 
 
-def _of_lasers(sensor: SensorModel, *layers: tuple[Sweep, Payload, Prediction]) -> dict[str, Any]:
-    """What is known of a scan's lasers: nothing of points that are on no lattice, or of which nobody tells the laser."""
+def _of_returns(sensor: SensorModel, *layers: tuple[Sweep, Payload, Prediction]) -> dict[str, Any]:
+    """What is known of a scan's returns and their lasers: nothing of points that are on no lattice, or of which nobody tells the laser."""
     if any(len(sweep.laser) for sweep, _, _ in layers):
         returns = sum(np.diff(ring_starts(sweep.laser, sensor.n_lasers)) for sweep, _, _ in layers)
         bits = sum(laser_bits(sweep, predicted, sensor.n_lasers) for sweep, _, predicted in layers)
-        return {"laser_returns": np.asarray(returns, np.int32), "laser_bits": np.asarray(bits, np.float32)}
+        same = sum(_bit_identical(sweep) for sweep, _, _ in layers)
+        by_laser = {
+            "laser_returns": np.asarray(returns, np.int32),
+            "laser_bits": np.asarray(bits, np.float32),
+        }
+        return by_laser | {"bit_identical": same}
     filled = [sweep for sweep, _, _ in layers if len(sweep)]
     told = [n for sweep in filled if (n := _told_returns(sweep, sensor.n_lasers)) is not None]
     if not told or len(told) < len(filled):
@@ -122,6 +128,12 @@ def _of_lasers(sensor: SensorModel, *layers: tuple[Sweep, Payload, Prediction]) 
     if 2 * off > sum(len(sweep) for sweep in filled):
         return {}
     return {"laser_returns": np.sum(told, axis=0, dtype=np.int32)}
+
+
+def _bit_identical(sweep: Sweep) -> int:
+    """Count the returns that come back to the bit without a correction; none of a sweep within an error."""
+    plain = (sweep.millimetre == NO_CORRECTION) & (sweep.ulp == NO_CORRECTION)
+    return int(np.count_nonzero(plain)) if sweep.max_error == 0 else 0
 
 
 def _told_returns(sweep: Sweep, n_lasers: int) -> NDArray[np.int64] | None:

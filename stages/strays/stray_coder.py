@@ -366,6 +366,11 @@ def off_lattice(n: int, data: bytes) -> int:
     return n if row is None else row.off(n, body)
 
 
+def are_moved(data: bytes) -> bool:
+    """Whether the points of a stream lie on the lattice of their sensor but for a motion by time."""
+    return _form_of(data)[0] is _FORMS[MOVED]
+
+
 def _form_of(data: bytes) -> tuple[_Form | None, bytes]:
     """The form of a stream, None of one of rays, and its body."""
     if len(data) == 0:

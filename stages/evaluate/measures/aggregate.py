@@ -44,6 +44,7 @@ def figures(metrics: pa.Table, times: pa.Table, container_bytes: int = 0) -> dic
         "points_decoded": decoded,
         "points_lost": points - dropped - decoded,
         "points_on_fallback": total(metrics, "points_on_fallback"),
+        "points_bit_identical": pc.sum(metrics.column("points_bit_identical")).as_py(),
         "bytes": sizes,
         "bytes_container": container_bytes,
         "bytes_source": total(metrics, "bytes_source"),

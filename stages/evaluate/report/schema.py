@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-VERSION = 10
+VERSION = 11
 
 # One row per scan, measured on what was decoded from the archive. A null in a measured column means that
 # there was no source scan to compare with. Bytes are those of the scan's payload; framing is added later.
@@ -24,6 +24,7 @@ METRICS = pa.schema(
         ("points_dropped_movable", pa.int64()),
         ("points_decoded", pa.int64()),
         ("points_on_fallback", pa.int64()),
+        ("points_bit_identical", pa.int64()),  # without any correction; null where a motion by time hides it
         ("movable", pa.string()),  # what became of what may move: layered, dropped, one layer
         ("points_movable", pa.int64()),  # of the movable layer, in the figures above and below, too
         ("bytes_movable", pa.int64()),

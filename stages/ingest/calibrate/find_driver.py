@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.aim import aim
+from salpcc.stages.lattice.aim import aim, given_back
 from salpcc.stages.lattice.drivers import FORMULAS, HESAI, SINES, STEPS, TURNING, Driver, bearing_of, ouster
 from salpcc.stages.lattice.drivers.sines import cosine32, sine32
 from salpcc.stages.lattice.lattice import driven
@@ -196,13 +196,7 @@ def share_identical(model: SensorModel, points: F32) -> float:
     """Share of the returns among points ``(N, 3)`` that the model gives back bit for bit."""
     with np.errstate(invalid="ignore"):
         returns = points[np.abs(points).max(axis=1, initial=0.0) > 0]
-    laser, tick, count, _ = aim(model, returns.astype(np.float64))
-    seen = laser >= 0
-    back = driven(
-        model, laser[seen].astype(np.uint8), tick[seen].astype(np.int32), count[seen].astype(np.float64)
-    )
-    same = back.astype(np.float32).view(np.int32) == returns[seen].view(np.int32)
-    return float(same.all(axis=1).sum() / max(len(returns), 1))
+    return float(given_back(model, returns).sum() / max(len(returns), 1))
 
 
 def _laser(

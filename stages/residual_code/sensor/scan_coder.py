@@ -19,7 +19,7 @@ from salpcc.stages.residual_code.sensor.payload import pack, unpack
 from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding
 from salpcc.stages.residual_code.sensor.streams import STREAMS
 from salpcc.stages.residual_code.stream import Payload
-from salpcc.stages.strays.stray_coder import off_lattice
+from salpcc.stages.strays.stray_coder import are_moved, off_lattice
 
 
 def encode_scan(
@@ -89,6 +89,16 @@ def points_off_lattice(data: bytes) -> int:
     """
     header, streams = unpack(data)
     return off_lattice(header.strays, streams["stray_points"])
+
+
+def is_unmoved(data: bytes) -> bool:
+    """Whether all points of a payload are strays that lie where the sensor saw them, as no motion is told.
+
+    Raises:
+        ArchiveError: it is no payload of profile ``sensor``.
+    """
+    header, streams = unpack(data)
+    return header.returns == 0 and header.motion is None and not are_moved(streams["stray_points"])
 
 
 def _nothing_yet(header: Header, motion: np.ndarray | None) -> Sweep:

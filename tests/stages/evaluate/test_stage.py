@@ -17,6 +17,8 @@ from salpcc.schemas.shards import KEPT
 from salpcc.stages.evaluate import stage
 from salpcc.stages.evaluate.report.schema import METRICS
 from salpcc.stages.ingest.paper_grid import grid_to_scan, row_elevations, scan_to_grid
+from salpcc.stages.lattice.lattice import driven
+from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.confusion import group_confusion
 
 Street = Callable[..., Scan]
@@ -36,6 +38,28 @@ def test_a_bit_exact_scan_has_no_error(street: Street, payload_rows: Rows) -> No
     assert row["max_error_m"] == row["squared_error_m2"] == row["d_d_m2"] == 0.0
     assert (row["sequence"], row["gop"], row["points_compared"]) == ("00", 3, len(scan))
     assert (row["bytes_geometry"], row["bytes_side"], row["points_on_fallback"]) == (1000, 20, 1)
+
+
+def test_points_that_need_no_correction_are_counted(street: Street, payload_rows: Rows) -> None:
+    sensor, n = load_sensor("vlp16"), 5000
+    assert sensor.driver is not None
+    number = np.random.default_rng(5).integers
+    laser, tick = number(0, 16, n).astype(np.uint8), number(0, sensor.ticks_per_turn, n).astype(np.int32)
+    points = driven(sensor, laser, tick, number(1000, 20000, n).astype(np.float64)).astype(np.float32)
+    points[:9] = np.nextafter(points[:9], np.float32(0))  # another last bit
+    points[9] = 0.0  # no return
+    scan = Scan("000000", points, np.zeros(n, np.float32))
+
+    def counted(found: Scan, more: dict[str, Any], **asked: Any) -> int | None:
+        (row,) = payload_rows([found], [found]).to_pylist()
+        (measured,) = measure([found], [found], pa.Table.from_pylist([row | more]), **asked)
+        return measured["points_bit_identical"]
+
+    assert counted(scan, {"unmoved": True}, sensor=sensor) == n - 10
+    assert counted(scan, {"unmoved": True}, sensor=load_sensor("hdl64e")) == 0
+    assert counted(scan, {"unmoved": False}, sensor=sensor) is None
+    assert counted(street(), {"bit_identical": 77, "unmoved": False}, sensor=sensor) == 77
+    assert counted(scan, {"unmoved": True}, sensor=sensor, max_error=0.01) == 0
 
 
 def test_one_moved_point_is_found(street: Street, payload_rows: Rows) -> None:

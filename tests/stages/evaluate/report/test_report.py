@@ -86,7 +86,7 @@ def test_every_name_of_the_contract_is_there(out: Path) -> None:
     figures = json.loads((out / "report" / "report.json").read_text())["sequences"]["00"]
     plain = (
         "frames points_in points_kept points_dropped_movable points_decoded points_on_fallback "
-        "compression_rate_percent geometry_rate_percent max_error_m rms_error_m d_d bit_exact_scans "
+        "points_bit_identical compression_rate_percent geometry_rate_percent max_error_m rms_error_m d_d bit_exact_scans "
         "ms_per_scan encode_ms_per_scan decode_ms_per_scan"
     )
     assert all(figures[name] is not None for name in plain.split())
