@@ -145,9 +145,8 @@ def _fitted(kept: list[Listed], name: str, rounded: bool) -> Fit:
     )
     widths = {scan.width for scan in kept}
     if len(widths) == 1 and widths <= _COLUMNS and (not ticks_line or found_ticks % min(widths) == 0):
-        found_ticks = (
-            widths.pop()
-        )  # too few returns to tell, or to tell from a multiple, but the cloud is a turn of so many columns
+        # Too few returns to tell, or to tell from a multiple, but the cloud is a turn of so many columns.
+        found_ticks = widths.pop()
     ticks, count = ticks or found_ticks, count or found_count
     fitted = [fit_laser(q[:: len(q) // _MOST_POINTS + 1], ticks, count, rounded) for q in own]
     # A nanoradian at 100 m and a tenth of a micrometre say no more; short numbers keep archives short.

@@ -31,13 +31,8 @@ FORMULAS: dict[str, ModuleType] = {
     "nebula": nebula,
     "pandar_degrees": pandar_degrees,
 }
-TURNING = (
-    "nebula",
-    "velodyne",
-    "hesai",
-    "pandar",
-    "pandar_degrees",
-)  # those with bearings, as they are tried
+# Those with bearings, in the order in which they are tried.
+TURNING = ("nebula", "velodyne", "hesai", "pandar", "pandar_degrees")
 SINES = ("rounded", "polynomial")  # the kinds of :mod:`.sines`
 NO_FORMULA, VELODYNE, HESAI, OUSTER, PANDAR, NEBULA, PANDAR_DEGREES = -1, 0, 1, 2, 3, 4, 5
 STEPS = 36_000  # azimuth indices in a turn, unless a driver says otherwise
