@@ -13,7 +13,7 @@ import numpy as np
 from salpcc.pipeline.sensors.calibration import calibrate_scans, listed_of
 from salpcc.schemas.errors import LogWarning, SensorError, SourceError
 from salpcc.schemas.scan import Scan
-from salpcc.stages.ingest.calibrate.find_driver import find_unit, share_identical
+from salpcc.stages.ingest.calibrate.find_driver import MORE, find_unit, share_identical
 from salpcc.stages.ingest.calibrate.fit_moved import may_be_of
 from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.ingest.sources.bag import Bag
@@ -28,11 +28,8 @@ _CLOUDS = 2  # of each topic
 _FITTED = 4  # of the topic with most points, that a model is fitted to
 _LEAST = 0.5  # of the returns that must lie on the lattice
 _NEAR, _NEARLY = 0.002, 0.9  # metres from it, and of the returns that must be so near
-_PROVEN, _SURE = (
-    0.9,
-    0.999,
-)  # of the returns, that must come back to the bit for nothing else to be tried; of another unit's
-_MORE = 1.3  # times the lasers that clouds show, that their sensor may have
+# Of the returns, that must come back to the bit for nothing else to be tried: of a shipped model's, of another unit's.
+_PROVEN, _SURE = 0.9, 0.999
 _BESIDE = 0.1  # metres that another unit's lasers may make of their looking elsewhere
 
 
@@ -72,7 +69,7 @@ def choose_sensor(log: Path, sequence: str, topics: tuple[str, ...]) -> Chosen:
     found = _find_unit(sensors, [scan for scans in many for scan in scans])
     if found is not None:
         return found
-    own = _fitted(max(many, key=lambda scans: sum(map(len, scans))))
+    own = _fitted(many)
     if own is not None:
         share = max(_mean(own, clouds, share_of) for share_of in (_share, _share_moved))
         if share > _LEAST and (on is None or _identical(own, clouds) > same):
@@ -100,8 +97,8 @@ def choose_unit(log: Path, sequence: str, topics: tuple[str, ...], sensor: Senso
     same = 0.0 if found is None or found.unit is None else _identical(found.unit, every)
     if same > _SURE:
         return found
-    own = _fitted(max(many, key=lambda scans: sum(map(len, scans))))
-    if own is None or not own.n_lasers <= _MORE * sensor.n_lasers <= _MORE**2 * own.n_lasers:
+    own = _fitted(many)
+    if own is None or not own.n_lasers <= MORE * sensor.n_lasers <= MORE**2 * own.n_lasers:
         return found
     share = _mean(own, every, _share)
     return (
@@ -114,8 +111,9 @@ def _few(many: list[list[Scan]]) -> list[Scan]:
     return [scan for scans in many for scan in scans[:_CLOUDS]]
 
 
-def _fitted(scans: list[Scan]) -> SensorModel | None:
-    """The model that a calibration on clouds finds; None where it finds none."""
+def _fitted(many: list[list[Scan]]) -> SensorModel | None:
+    """The model that a calibration on the clouds of the topic with most points finds; None where it finds none."""
+    scans = max(many, key=lambda scans: sum(map(len, scans)))
     try:
         return calibrate_scans([listed_of(scan) for scan in scans], OWN).fit.model
     except (SensorError, np.linalg.LinAlgError):

@@ -105,9 +105,11 @@ def share_on(sensor: SensorModel, points: NDArray[np.float32], within: float = _
     return float((off < within).mean()) if len(off) > _SAMPLE // 10 else 0.0
 
 
-def given_back(sensor: SensorModel, points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Mark the points ``(N, 3)`` that the model makes of their laser, tick and count bit for bit."""
-    laser, tick, count, _ = aim(sensor, points.astype(np.float64))
+def given_back(
+    sensor: SensorModel, points: NDArray[np.float32], laser: I64 | None = None
+) -> NDArray[np.bool_]:
+    """Mark the points ``(N, 3)`` that the model makes of their laser, tick and count bit for bit; ``laser`` as for :func:`aim`."""
+    laser, tick, count, _ = aim(sensor, points.astype(np.float64), laser)
     known = np.maximum(laser, 0).astype(np.uint8)
     model = driven(sensor, known, tick.astype(np.int32), count.astype(np.float64)).astype(np.float32)
     same: NDArray[np.bool_] = (model.view(np.int32) == points.view(np.int32)).all(axis=1)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from salpcc.stages.lattice.aim import aim, given_back
 from salpcc.stages.lattice.drivers import FORMULAS, HESAI, SINES, STEPS, TURNING, Driver, bearing_of, ouster
 from salpcc.stages.lattice.drivers.sines import cosine32, sine32
-from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.sensor_model import SensorModel, with_driver
 
 _LEVER = 1e-4  # metres; formulas know no lever arms
@@ -28,7 +27,7 @@ _WINDOW = 2.5e-7  # radians that the phase of azimuths may be off by
 _TRIED = 200  # offsets in that window
 _ULPS = 4
 _FEWER = 60  # points of a laser
-_MORE = 1.3  # times the lasers that a cloud shows, that its sensor may have
+MORE = 1.3  # times the lasers that a cloud shows, that its sensor may have
 _TURNED = 18  # hundredths of a degree
 _NEAREST_ORIGIN, _FARTHEST_ORIGIN = 5_000, 40_000  # micrometres from the axis that Ouster's beams start
 _ORIGIN_OFF = 10  # micrometres that cones leave unsure
@@ -44,7 +43,7 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
     levers = np.abs(np.stack([model.h, model.z0, model.d0]))
     if np.median(levers, axis=1).max() > _LEVER:  # of a laser with few points there may be any
         points, laser = _few_of_each(points, laser, model.n_lasers)
-        found = max(_ouster(model), key=lambda tried: _same(tried, points, laser).sum())
+        found = max(_ouster(model), key=lambda tried: given_back(tried, points, laser).sum())
         return _polished(found, points, laser)
     reach = np.sqrt((points.astype(np.float64) ** 2).sum(axis=1))
     own = _by_laser(laser, reach, model.n_lasers)
@@ -90,7 +89,7 @@ def find_unit(model: SensorModel, points: F32, ring: I64 | None = None) -> Senso
     d = _ranges(np.nan_to_num(reach, posinf=0.0), model.count, kind.single)
     sine, rows = SINES.index(kind.sine), kind.lasers.copy()
     known = [k for k in sorted(range(model.n_lasers), key=lambda k: -len(own[k])) if len(own[k]) >= _FEWER]
-    if _MORE * len(known) < model.n_lasers:
+    if MORE * len(known) < model.n_lasers:
         return None  # of another sensor, some of whose lasers look nearly where these do
     few = [own[k][:_FEWER] for k in known[:_CHOSEN]]
     shares = [_laser(points[some], d[some], kind.formula, sine, _ASIDE)[1] for some in few]
@@ -129,13 +128,6 @@ def _few_of_each(points: F32, laser: I64, lasers: int) -> tuple[F32, I64]:
     return points[own], laser[own]
 
 
-def _same(model: SensorModel, points: F32, laser: I64) -> NDArray[np.bool_]:
-    """Mark points ``(N, 3)`` of lasers ``(N,)`` that the model gives back bit for bit."""
-    k, tick, count, _ = aim(model, points.astype(np.float64), laser)
-    back = driven(model, np.maximum(k, 0).astype(np.uint8), tick.astype(np.int32), count.astype(np.float64))
-    return np.asarray((back.astype(np.float32).view(np.int32) == points.view(np.int32)).all(axis=1))
-
-
 def _polished(model: SensorModel, points: F32, laser: I64) -> SensorModel:
     """Turn each laser to where most of its points come back bit for bit: by hundredths of a degree, then as any other laser, or nearly."""
     assert model.driver is not None
@@ -148,7 +140,7 @@ def _polished(model: SensorModel, points: F32, laser: I64) -> SensorModel:
             tried = model.driver.lasers.copy()
             tried[:, 1] = aside if again else tried[:, 1] + aside
             trial = with_driver(model, replace(model.driver, lasers=tried))
-            share = np.bincount(laser, _same(trial, points, laser), model.n_lasers) / seen
+            share = np.bincount(laser, given_back(trial, points, laser), model.n_lasers) / seen
             rows[share > best] = tried[share > best]
             best = np.maximum(best, share)
     return with_driver(model, replace(model.driver, lasers=rows))
