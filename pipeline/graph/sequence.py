@@ -37,7 +37,7 @@ from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.writer import write_archive
-from salpcc.stages.residual_code.sensor.scan_coder import is_unmoved, points_off_lattice
+from salpcc.stages.residual_code.sensor.scan_coder import on_lattice
 
 _warm: set[str] = set()  # efforts that this process has decoded
 
@@ -249,10 +249,9 @@ def _of_layers(static: ScanPayload, movable: ScanPayload | None) -> dict[str, An
 def _on_lattice(config: RunConfig, static: ScanPayload, movable: ScanPayload | None) -> dict[str, Any]:
     """Points of a scan that no lattice of its sensor explains, and whether its points lie where the sensor saw them; the grid of profile ``paper`` has none."""
     layers = [static, *([movable] if movable else [])] if config.profile == "sensor" else []
-    return {
-        "off_lattice": sum(points_off_lattice(layer.data) for layer in layers),
-        "unmoved": bool(layers) and all(is_unmoved(layer.data) for layer in layers),
-    }
+    seen = [on_lattice(layer.data) for layer in layers]
+    unmoved = bool(seen) and all(layer.unmoved for layer in seen)
+    return {"off_lattice": sum(layer.off for layer in seen), "unmoved": unmoved}
 
 
 def _warm_up(reader: ArchiveReader, gop: int) -> None:

@@ -31,7 +31,7 @@ from salpcc.stages.residual_code.gop import encode_gop
 from salpcc.stages.residual_code.label_coder import encode_labels
 from salpcc.stages.residual_code.paper.grid_coder import encode_grid
 from salpcc.stages.residual_code.paper.grid_streams import GridState
-from salpcc.stages.residual_code.sensor.scan_coder import points_off_lattice
+from salpcc.stages.residual_code.sensor.scan_coder import on_lattice
 from salpcc.stages.residual_code.stream import Payload
 
 VERSION = 13
@@ -114,17 +114,16 @@ def _of_returns(sensor: SensorModel, *layers: tuple[Sweep, Payload, Prediction])
     if any(len(sweep.laser) for sweep, _, _ in layers):
         returns = sum(np.diff(ring_starts(sweep.laser, sensor.n_lasers)) for sweep, _, _ in layers)
         bits = sum(laser_bits(sweep, predicted, sensor.n_lasers) for sweep, _, predicted in layers)
-        same = sum(_bit_identical(sweep) for sweep, _, _ in layers)
-        by_laser = {
+        return {
             "laser_returns": np.asarray(returns, np.int32),
             "laser_bits": np.asarray(bits, np.float32),
+            "bit_identical": sum(_bit_identical(sweep) for sweep, _, _ in layers),
         }
-        return by_laser | {"bit_identical": same}
     filled = [sweep for sweep, _, _ in layers if len(sweep)]
     told = [n for sweep in filled if (n := _told_returns(sweep, sensor.n_lasers)) is not None]
     if not told or len(told) < len(filled):
         return {}
-    off = sum(points_off_lattice(payload.data) for _, payload, _ in layers)
+    off = sum(on_lattice(payload.data).off for _, payload, _ in layers)
     if 2 * off > sum(len(sweep) for sweep in filled):
         return {}
     return {"laser_returns": np.sum(told, axis=0, dtype=np.int32)}

@@ -6,6 +6,8 @@ and the motion. Its ranges and intensities are not predicted from the static lay
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from salpcc.schemas.errors import ArchiveError
@@ -81,24 +83,28 @@ def decode_scan(data: bytes, sensor: SensorModel, state: GopState, static: Sweep
     return scan.sweep
 
 
-def points_off_lattice(data: bytes) -> int:
-    """Points of a payload that are on no lattice: strays, but for those that its sensor's model explains.
+class OnLattice(NamedTuple):
+    """What a payload says of its points and the lattice of its sensor.
+
+    Attributes:
+        off: points on no lattice: strays, but for those that the sensor's model explains.
+        unmoved: whether all points are strays that lie where the sensor saw them, as no motion is told.
+    """
+
+    off: int
+    unmoved: bool
+
+
+def on_lattice(data: bytes) -> OnLattice:
+    """Look at a payload of profile ``sensor``.
 
     Raises:
-        ArchiveError: it is no payload of profile ``sensor``.
+        ArchiveError: it is none.
     """
     header, streams = unpack(data)
-    return off_lattice(header.strays, streams["stray_points"])
-
-
-def is_unmoved(data: bytes) -> bool:
-    """Whether all points of a payload are strays that lie where the sensor saw them, as no motion is told.
-
-    Raises:
-        ArchiveError: it is no payload of profile ``sensor``.
-    """
-    header, streams = unpack(data)
-    return header.returns == 0 and header.motion is None and not are_moved(streams["stray_points"])
+    strays = streams["stray_points"]
+    unmoved = header.returns == 0 and header.motion is None and not are_moved(strays)
+    return OnLattice(off_lattice(header.strays, strays), unmoved)
 
 
 def _nothing_yet(header: Header, motion: np.ndarray | None) -> Sweep:
