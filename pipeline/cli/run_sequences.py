@@ -134,7 +134,8 @@ def sequences(
 ) -> None:
     """Encode sequences of scans, decode them again, measure, and write a report."""
     require("run", "run")
-    start_fork_server(workers, scheduler, network=labels == "network" and (classes or not keep_movable))
+    asked = RunConfig.model_construct(labels=labels, keep_movable=keep_movable, classes=classes)
+    start_fork_server(workers, scheduler, network=asked.uses_network)
     with starting():
         from salpcc.pipeline.run import RunRequest
         from salpcc.stages.evaluate.baselines import names as baseline_names

@@ -26,10 +26,13 @@ _LOOK_EVERY = 1000.0  # milliseconds
 
 
 class _Nanny(Nanny):
-    """Keeps a worker that draws no pages of its own: nobody looks at them, and to import what draws them takes it a second."""
+    """Keeps a worker that draws no pages of its own: nobody looks at them, and to import what draws them takes it a second.
+
+    Its environment is that of this process; the one that it is forked from may have an older one.
+    """
 
     def __init__(self, *addresses: Any, **options: Any) -> None:
-        super().__init__(*addresses, **options | {"dashboard": False})
+        super().__init__(*addresses, **options | {"dashboard": False, "env": dict(os.environ)})
 
 
 @contextmanager
@@ -92,9 +95,6 @@ def _local_cluster(count: int) -> LocalCluster:
             worker_dashboard_address="127.0.0.1:0",
             worker_class=_Nanny if count else None,
             silence_logs=logging.CRITICAL,
-            **{"env": dict(os.environ)}
-            if count
-            else {},  # the process that they are forked from may have an older one
         )
     except (OSError, RuntimeError) as error:
         reason: BaseException | None = error
