@@ -286,10 +286,8 @@ def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked
     for size, early in tried[:_FINALISTS]:
         if size > _NEAR * tried[0][0]:
             break
-        for clocked in (
-            early,
-            _fitted(early, more, low[fitted], high[fitted]),
-        ):  # early times are rounded least
+        # Early times are rounded least.
+        for clocked in (early, _fitted(early, more, low[fitted], high[fitted])):
             coded = encode_times(fired, low, high, clocked, ENDLESS if best is None else len(best[1]))
             if coded is not None and (best is None or len(coded) < len(best[1])):
                 best = clocked, coded

@@ -230,9 +230,8 @@ class LearnedField:
             number = passed.number
             follows = self._before is not None and self._before[2] == number - 1
             linked, there = True, passed.there if follows else np.full(n, -1)
-            if there.max(initial=-1) >= len(
-                before.values
-            ):  # of a damaged archive, or by other neighbourhoods
+            # Of a damaged archive, or by other neighbourhoods.
+            if there.max(initial=-1) >= len(before.values):
                 there = np.full(n, -1)
         self._tried[what] = models, own, number
         return ValueWalk(

@@ -28,9 +28,8 @@ from salpcc.stages.residual_code.message.records import RESIDUALS, SYMBOLS, Inte
 _RECORD = struct.Struct("<BBBBBII")  # a _Head, length
 _SAMPLE = 1 << 16
 _FEWEST = 500  # values of a field of decimals for which others are tried
-_PLAIN, _DISTANCE, _RANGE, _AZIMUTH = range(
-    4
-)  # what integers are measured against; the last two: by the driver
+# What integers are measured against; the last two: by the driver.
+_PLAIN, _DISTANCE, _RANGE, _AZIMUTH = range(4)
 
 
 class _Head(NamedTuple):
