@@ -11,6 +11,7 @@ A tick of the sensor model counts the other way round than an index, so tick T i
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
@@ -21,6 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.drivers import hesai, nebula, ouster, pandar, pandar_degrees, velodyne
+from salpcc.stages.lattice.drivers.degrees import angles_of, row_of
 from salpcc.stages.lattice.trig import arctan2
 
 FORMULAS: dict[str, ModuleType] = {
@@ -39,6 +41,7 @@ STEPS = 36_000  # azimuth indices in a turn, unless a driver says otherwise
 _MOST_STEPS = 1 << 16
 _ROWS = 4  # numbers of a laser
 _LARGEST = 1 << 24
+_TURN = 360.0  # degrees
 
 F32 = NDArray[np.float32]
 Tables = tuple[int, int, bool, F32, F32]
@@ -84,14 +87,23 @@ class Driver:
         return formula, sine, self.single, values, np.ascontiguousarray(self.lasers)
 
     def to_document(self) -> dict[str, Any]:
-        """As JSON: float32 values by the shortest decimals that read back as they."""
+        """As JSON: a laser by two angles in degrees where :mod:`.degrees` has them, else its four numbers by the shortest decimals that read back as they.
+
+        A laser of Ouster's formula that starts where the one before does has its angles only.
+        """
         return {
             "formula": self.formula,
             "sine": self.sine,
             "single": self.single,
             "steps": self.steps,
-            "lasers": [[float(str(value)) for value in laser] for laser in self.lasers],
+            "lasers": [[_short(value) for value in self._told(k)] for k in range(len(self.lasers))],
         }
+
+    def _told(self, k: int) -> Iterable[Any]:
+        laser = self.lasers[k]
+        if self.formula in TURNING:
+            return angles_of(FORMULAS[self.formula], SINES.index(self.sine), laser) or laser
+        return laser[:2] if k and bool((laser[2:] == self.lasers[k - 1, 2:]).all()) else laser
 
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> Driver:
@@ -100,15 +112,35 @@ class Driver:
         Raises:
             ValueError, KeyError, TypeError: it is none.
         """
-        lasers = np.array([[float(v) for v in laser] for laser in document["lasers"]])
+        if document["formula"] not in FORMULAS or document["sine"] not in SINES:
+            raise ValueError("a driver that is not known")
+        lasers = np.array(_rows(document["formula"], SINES.index(document["sine"]), document["lasers"]))
         sound = lasers.ndim == 2 and lasers.shape[1] == _ROWS and bool((np.abs(lasers) < _LARGEST).all())
         steps = int(document["steps"])
         sound = sound and (1 <= steps <= _MOST_STEPS if document["formula"] == "ouster" else steps == STEPS)
-        if document["formula"] not in FORMULAS or document["sine"] not in SINES or not sound:
+        if not sound:
             raise ValueError("a driver that is not known")
         return cls(
             document["formula"], document["sine"], bool(document["single"]), lasers.astype(np.float32), steps
         )
+
+
+def _rows(formula: str, sine: int, told: Iterable[Iterable[Any]]) -> list[list[float]]:
+    """The four numbers of each laser, of which those may be missing that :meth:`Driver.to_document` leaves out."""
+    rows: list[list[float]] = []
+    for laser in told:
+        numbers = [float(value) for value in laser]
+        if len(numbers) == 2 and formula not in TURNING:
+            numbers += rows[-1][2:] if rows else []
+        elif len(numbers) == 2 and max(map(abs, numbers)) <= _TURN:
+            numbers = [float(value) for value in row_of(FORMULAS[formula], sine, *numbers)]
+        rows.append(numbers)
+    return rows
+
+
+def _short(value: float) -> float | int:
+    text = str(value).removesuffix(".0")
+    return int(text) if text.lstrip("-").isdigit() and text != "-0" else float(text)
 
 
 NO_DRIVER: Tables = (NO_FORMULA, 0, False, np.zeros((1, 2), np.float32), np.zeros((1, _ROWS), np.float32))

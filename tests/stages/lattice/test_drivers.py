@@ -18,6 +18,7 @@ from salpcc.schemas.errors import SensorError
 from salpcc.stages.ingest.calibrate.find_driver import share_identical
 from salpcc.stages.ingest.calibrate.fit_sensor import fit_sensor
 from salpcc.stages.lattice.drivers import FORMULAS, SINES, TURNING, Driver
+from salpcc.stages.lattice.drivers.degrees import row_of
 from salpcc.stages.lattice.drivers.sines import cosine32, sine32
 from salpcc.stages.lattice.find_lasers import Listed
 from salpcc.stages.lattice.lattice import driven
@@ -260,3 +261,28 @@ def test_a_small_room_and_voids_are_no_reason_to_refuse() -> None:
     found = fit_sensor([Listed(rows, laser[order], FIRINGS)], "x", rounded=False)
     assert found.model.n_lasers == LASERS
     assert found.share_within(0.001) > 0.99
+
+
+@pytest.mark.parametrize(("formula", "sine"), product(TURNING, SINES))
+def test_round_angles_are_told_as_such_and_other_numbers_as_they_are(formula: str, sine: str) -> None:
+    angles = [(-25, 0.911), (-15.639, 0), (0, -4.2), (2.333, 3)]
+    kind = SINES.index(sine)
+    rows = [row_of(FORMULAS[formula], kind, *told) for told in angles]
+    odd = (rows[0][0], F(0.123), F(0.5), F(-0.0))  # of no angle
+    driver = Driver(formula, sine, True, np.array([*rows, odd], F))
+    told = driver.to_document()["lasers"]
+    assert [tuple(laser) for laser in told[:-1]] == angles and len(told[-1]) == 4
+    again = Driver.from_document(json.loads(json.dumps(driver.to_document())))
+    assert again.lasers.tobytes() == driver.lasers.tobytes()
+
+
+def test_beams_that_start_alike_are_told_once() -> None:
+    lasers = np.array(
+        [[100, 4, 15806, 36180], [90, -4, 15806, 36180], [80, 4, 15806, 0], [70, 4, 15806, 0]], F
+    )
+    driver = Driver("ouster", "rounded", False, lasers, 1024)
+    told = driver.to_document()["lasers"]
+    assert [len(laser) for laser in told] == [4, 2, 4, 2]
+    assert Driver.from_document(driver.to_document()).lasers.tobytes() == lasers.tobytes()
+    with pytest.raises(ValueError):
+        Driver.from_document(driver.to_document() | {"lasers": told[1:]})
