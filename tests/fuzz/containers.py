@@ -36,7 +36,7 @@ def _archives(folder: Path) -> list[bytes]:
     scans = [Scan(f"{n:06d}", s.points, s.intensity, 10**8 * n) for n, s in enumerate(_scans())]
     encode_scans(scans, folder / "a.mcap", gop=2, effort="fast", keep_movable=True)
     reader = ArchiveReader(folder / "a.mcap")
-    enclosed = LogAttachment(1, 2, "index.json", "text/plain", b"[]"), LogMetadata("salpcc", (("a", "b"),))
+    enclosed = LogAttachment(1, 2, "index", "text/plain", b"[]"), LogMetadata("salpcc", (("a", "b"),))
     channel = LogChannel(1, "/texts", "json", "", "", b"")
     log = PassingLog([channel], iter([LogMessage(1, 5, 5, 0, b"{}")]), enclosed)
     gops = [reader.payloads(gop) for gop in range(len(reader.gops))]

@@ -105,9 +105,8 @@ def test_the_static_layer_is_what_dropping_leaves(layered: Path, scans: list[Sca
     for gop in range(3):
         assert [p.data for p in one.payloads(gop)] == [p.data for p in two.payloads(gop)]
         assert [p.entry for p in one.payloads(gop)] == [p.entry for p in two.payloads(gop)]
-    assert one.facts.version == "2.0" and two.facts.version == "1.1"
     kept = ArchiveReader(encode_scans(scans, tmp_path / "kept.mcap", "00", effort="fast", gop=2))
-    assert (kept.movable, kept.facts.version) == ("one layer", "1.1")
+    assert kept.movable == "one layer"
     assert not kept.facts.config.keys() & {"layers", "drop_movable", "movable_max_error", "classes"}
     with pytest.raises(UsageError, match="was dropped"):
         Archive.open(dropped, layers="movable")

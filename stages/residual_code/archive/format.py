@@ -6,14 +6,19 @@ Here: what an archive holds. :mod:`.writer` and :mod:`.reader` are each other's 
 from __future__ import annotations
 
 import re
+import struct
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
+from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.lattice.sensor_model import SensorModel
 
-ARCHIVE_VERSION = "1.1"  # of archives with one layer
-SECOND_VERSION = "2.0"  # of those with labels or a movable layer, or of which that was taken out
+ARCHIVE_VERSION = "3.0"
 MAGIC = b"\x89MCAP0\r\n"
+DESCRIPTION, INDEX = "description", "index"  # the attachments that every archive has
+GOP_OPCODE = 0x80  # of records that MCAP leaves to applications
+GOP_HEAD = struct.Struct("<BQI")  # of such a record: opcode, length, CRC of the document behind
+DIGITS = 16  # of the sensor model's digest
 TOPIC = "/points/salpcc"
 # What may have a channel of its own: its topic. The id is in the metadata, under the name and "_channel".
 OWN_TOPICS = {
@@ -98,13 +103,26 @@ class ArchiveFacts:
     @property
     def version(self) -> str:
         """Version of the archive."""
-        return SECOND_VERSION if self.layers or self.labels else ARCHIVE_VERSION
+        return ARCHIVE_VERSION
 
     @property
     def channels(self) -> tuple[str, ...]:
         """What has a channel of its own, besides the scans."""
         asked = {"movable": self.layers, "labels": self.labels, "movable_labels": self.layers and self.labels}
         return tuple(name for name, there in asked.items() if there)
+
+
+def check_version(version: str) -> None:
+    """Refuse an archive of another major version; raises ArchiveError."""
+    major, ours = int(version.split(".")[0]), int(ARCHIVE_VERSION.split(".")[0])
+    if major > ours:
+        raise ArchiveError(
+            f"archive version {version} is newer than this tool reads ({ARCHIVE_VERSION}); update it"
+        )
+    if major < ours:
+        raise ArchiveError(
+            f"archive version {version} is older than this tool reads ({ARCHIVE_VERSION}); the release that wrote it reads it"
+        )
 
 
 def read_own_channels(about: dict[str, str]) -> dict[str, int]:

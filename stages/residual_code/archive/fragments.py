@@ -6,7 +6,6 @@ caller to check (:mod:`~salpcc.stages.residual_code.archive.salvage`).
 
 from __future__ import annotations
 
-import json
 import mmap
 import re
 import struct
@@ -23,6 +22,8 @@ from mcap.records import Message
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.messages import CloudMessage
+from salpcc.stages.residual_code.archive.documents import MARK, unpack_document
+from salpcc.stages.residual_code.archive.format import GOP_HEAD, GOP_OPCODE
 
 BROKEN = (
     ArchiveError, EndOfFile, struct.error, ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError,
@@ -50,23 +51,36 @@ class Place:
     whole: bool
 
 
-def attachments(data: mmap.mmap, name: str) -> Iterator[tuple[int, int, Any]]:
-    """Yield start, end and JSON content of the attachments of that name whose CRC holds."""
-    # Log and create time are 0 in an archive.
-    mark = bytes(16) + struct.pack("<I", len(name)) + name.encode()
+def attachments(data: mmap.mmap, name: str) -> Iterator[Any]:
+    """Yield the content of the attachments of that name that hold a document and whose CRC holds."""
+    # Log and create time are 0 in an archive, the media type is empty.
+    mark = bytes(16) + struct.pack("<I", len(name)) + name.encode() + bytes(4)
     at = data.find(mark)
     while at >= 0:
         try:
-            after = at + len(mark)
-            (media,) = struct.unpack_from("<I", data, after)
-            body = after + 4 + media + 8
+            body = at + len(mark) + 8
             (length,) = struct.unpack_from("<Q", data, body - 8)
             (crc,) = struct.unpack_from("<I", data, body + length)
             if zlib.crc32(data[at : body + length]) == crc:
-                yield at - RECORD_HEAD, body + length + 4, json.loads(data[body : body + length])
+                yield unpack_document(data[body : body + length])
         except BROKEN:
             pass
         at = data.find(mark, at + 1)
+
+
+def gop_records(data: mmap.mmap) -> Iterator[tuple[int, int, Any]]:
+    """Yield start, end and content of the records before chunks whose CRC holds."""
+    at = data.find(MARK)
+    while at >= 0:
+        start = at - GOP_HEAD.size
+        try:
+            opcode, length, crc = GOP_HEAD.unpack(data[max(start, 0) : at])
+            end = start + RECORD_HEAD + length
+            if opcode == GOP_OPCODE and end <= len(data) and zlib.crc32(data[at:end]) == crc:
+                yield start, end, unpack_document(data[at:end])
+        except BROKEN:
+            pass
+        at = data.find(MARK, at + 1)
 
 
 def chunks(data: mmap.mmap, likely: Iterable[int]) -> Iterator[Place]:

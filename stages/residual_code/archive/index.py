@@ -16,16 +16,19 @@ from salpcc.schemas.file_kind import kind_of
 from salpcc.schemas.log import LogChannel
 from salpcc.schemas.mcap_chunks import records, stream
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.residual_code.archive.documents import unpack_document
 from salpcc.stages.residual_code.archive.format import (
+    DESCRIPTION,
+    INDEX,
     MAGIC,
-    SECOND_VERSION,
     ArchiveFacts,
     ScanEntry,
+    check_version,
     entry_of,
     file_name,
     read_own_channels,
 )
-from salpcc.stages.residual_code.archive.passing import ENCLOSED, passing_channel
+from salpcc.stages.residual_code.archive.passing import ENCLOSED, channel_of_document, passing_channel
 from salpcc.stages.residual_code.archive.record_file import RecordFile
 from salpcc.stages.residual_code.archive.side_files import SIDE, side_name
 
@@ -96,16 +99,16 @@ def read_index(file: RecordFile) -> ArchiveIndex:
             channels.append(Channel.read(record))
     if "salpcc" not in metadata:
         raise ArchiveError(_no_archive(file.path))
-    facts, own = _facts(file, metadata["salpcc"], attachments)
+    facts, own, silent = _facts(file, metadata["salpcc"], attachments)
     gops, movable_gops = _entries(file, attachments, facts)
     chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
     coded = [chunk for chunk in chunks if not chunk.compression]
     of_movable = [chunk for chunk in coded if own.get("movable") in chunk.message_index_offsets]
-    found = (
+    found = [
         passing_channel(channel, schemas.get(channel.schema_id))
         for channel in channels
         if channel.id not in (1, *own.values())
-    )
+    ]
     of_log = (at for at in enclosed if at.name.startswith(ENCLOSED))
     return ArchiveIndex(
         facts,
@@ -114,7 +117,7 @@ def read_index(file: RecordFile) -> ArchiveIndex:
         _by_gop(file.path, gops, [chunk for chunk in coded if chunk not in of_movable]),
         _by_gop(file.path, movable_gops, of_movable),
         {number for name, number in own.items() if name != "movable"},
-        {channel.id: channel for channel in found},
+        {channel.id: channel for channel in sorted([*found, *silent], key=lambda channel: channel.id)},
         [chunk for chunk in chunks if chunk.compression],
         sorted(of_log, key=lambda at: at.offset),
         {side_name(name): at for name, at in attachments.items() if name.startswith(SIDE)},
@@ -152,41 +155,40 @@ def _summary(file: RecordFile) -> tuple[bytes, int]:
 
 def _facts(
     file: RecordFile, at: MetadataIndex, attachments: dict[str, AttachmentIndex]
-) -> tuple[ArchiveFacts, dict[str, int]]:
-    """The facts, and the ids of the channels that are the archive's own."""
+) -> tuple[ArchiveFacts, dict[str, int], list[LogChannel]]:
+    """The facts, the ids of the channels that are the archive's own, and those of the log that held clouds."""
     about = Metadata.read(file.record(at.offset, Opcode.METADATA)).metadata
-    version = about["archive_version"]
-    if int(version.split(".")[0]) > int(SECOND_VERSION.split(".")[0]):
-        raise ArchiveError(
-            f"{file.path}: archive version {version} is newer than this tool reads ({SECOND_VERSION}); update it"
-        )
-    own = read_own_channels(about)
     try:
-        sensor = SensorModel.from_json(bytes(file.attachment(attachments["sensor.json"]).data).decode())
+        check_version(about["archive_version"])
+        own = read_own_channels(about)
+        said = unpack_document(bytes(file.attachment(attachments[DESCRIPTION]).data))
+        sensor = SensorModel.from_json(json.dumps(said["sensor"]))
     except SalpccError as error:
         raise ArchiveError(f"{file.path}: {error}") from error
-    config: dict[str, Any] = dict(json.loads(file.attachment(attachments["config.json"]).data))
-    sequence = file_name(about["sequence"])
-    about_it = sequence, about["source"], about["inputs"], config, sensor
-    return ArchiveFacts(*about_it, layers="movable" in own, labels="labels" in own), own
+    of_clouds = [channel_of_document(channel) for channel in said["log"]]
+    about_it = file_name(about["sequence"]), str(said["source"]), str(said["inputs"]), dict(said["config"])
+    return ArchiveFacts(*about_it, sensor, layers="movable" in own, labels="labels" in own), own, of_clouds
 
 
 def _entries(
     file: RecordFile, attachments: dict[str, AttachmentIndex], facts: ArchiveFacts
 ) -> tuple[Gops, Gops]:
     """The entries of both layers by GOP; those of the movable one are of the first scans of each GOP."""
-    index = json.loads(file.attachment(attachments["index.json"]).data)
-    gops = [tuple(entry_of(row) for row in gop) for gop in index]
-    layer: list[Any] = [[] for _ in gops]
-    if "movable.json" in attachments and facts.layers:
-        layer = json.loads(file.attachment(attachments["movable.json"]).data)
-    movable_gops = [tuple(entry_of(row) for row in gop) for gop in layer]
+    index = unpack_document(bytes(file.attachment(attachments[INDEX]).data))
+    gops = entries_of(index["scans"])
+    layer = index.get("movable") if facts.layers else None
+    movable_gops = entries_of([[]] * len(gops) if layer is None else layer)
     if any(
         [e.name for e in movable_gop] != [e.name for e in gop][: len(movable_gop)]
         for gop, movable_gop in zip(gops, movable_gops, strict=True)
     ):
         raise DamagedError(f"{file.path}: the movable layer is of other scans")
     return gops, movable_gops
+
+
+def entries_of(rows: Any) -> Gops:
+    """Read a layer of an index, which nobody vouches for."""
+    return [tuple(entry_of(row) for row in gop) for gop in rows]
 
 
 def _by_gop(path: Path, gops: Gops, chunks: list[ChunkIndex]) -> dict[int, ChunkIndex]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -29,6 +30,23 @@ def passing_records(channel: LogChannel) -> tuple[list[Schema], Channel]:
         schema.append(Schema(number, channel.schema, channel.schema_encoding, channel.type))
     metadata = dict(channel.metadata)
     return schema, Channel(number, channel.topic, channel.encoding, metadata, number if schema else 0)
+
+
+def channel_document(channel: LogChannel) -> dict[str, Any]:
+    """Return a channel as JSON; the bytes of its schema are characters of that number."""
+    return {**vars(channel), "schema": channel.schema.decode("latin-1"), "metadata": dict(channel.metadata)}
+
+
+def channel_of_document(document: dict[str, Any]) -> LogChannel:
+    """Return the channel; inverse of :func:`channel_document`.
+
+    Raises:
+        ValueError, KeyError, TypeError: it is none.
+    """
+    texts = {name: str(document[name]) for name in ("topic", "encoding", "type", "schema_encoding", "schema")}
+    metadata = tuple(sorted((str(key), str(value)) for key, value in document["metadata"].items()))
+    schema = texts.pop("schema").encode("latin-1")
+    return LogChannel(id=int(document["id"]), schema=schema, metadata=metadata, **texts)
 
 
 def passing_channel(channel: Channel, schema: Schema | None) -> LogChannel:

@@ -7,6 +7,7 @@ import re
 import struct
 import zlib
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -16,7 +17,10 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.mcap_chunks import PARSE_ERRORS, decompress, records, stream
 from salpcc.schemas.passing_log import PassingLog
+from salpcc.stages.residual_code.archive.format import DESCRIPTION
+from salpcc.stages.residual_code.archive.fragments import attachments
 from salpcc.stages.residual_code.archive.passing import (
+    channel_of_document,
     passing_channel,
     passing_messages,
     read_passing_enclosed,
@@ -87,6 +91,9 @@ def _channels(data: mmap.mmap, path: Path, own: set[int]) -> dict[int, LogChanne
         return ArchiveReader(path).log
     except ArchiveError:
         found: dict[int, LogChannel] = {}
+    for document in attachments(data, DESCRIPTION):
+        with suppress(*PARSE_ERRORS):
+            found |= {channel.id: channel for channel in map(channel_of_document, document["log"])}
     schemas: dict[int, Schema] = {}
     try:
         for opcode, _, content in records(data[8:_MOST]):

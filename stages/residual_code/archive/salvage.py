@@ -23,14 +23,17 @@ from salpcc.schemas.mcap_chunks import records, stream
 from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.work import Movable
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel, load_sensor
+from salpcc.stages.residual_code.archive.documents import MARK
 from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
+    DESCRIPTION,
+    DIGITS,
+    INDEX,
     OWN_TOPICS,
-    SECOND_VERSION,
     ArchiveFacts,
     ScanEntry,
     ScanPayload,
-    entry_of,
+    check_version,
     file_name,
     read_own_channels,
     sequence_number,
@@ -42,7 +45,9 @@ from salpcc.stages.residual_code.archive.fragments import (
     attachments,
     chunks,
     clouds,
+    gop_records,
 )
+from salpcc.stages.residual_code.archive.index import entries_of
 from salpcc.stages.residual_code.archive.passing_salvage import passing_log
 from salpcc.stages.residual_code.archive.side_files import SideFile
 from salpcc.stages.residual_code.archive.side_salvage import side_files
@@ -53,7 +58,7 @@ from salpcc.stages.residual_code.paper.grid_header import GRID_CODEC
 from salpcc.stages.residual_code.sensor import payload
 
 # At least one of them is in whatever part of an archive holds a scan.
-_TRACES = (b"gop.json", b"index.json", b"sensor.json", b"salpcc/")
+_TRACES = (MARK, b"salpcc/")
 # DataEnd, its CRC, and the first schema of the summary.
 _DATA_END = re.compile(rb"\x0f\x04\0{7}.{4}\x03", re.DOTALL)
 _LEAST_GOP = 100  # bytes; so many GOPs at most lie before a byte, whatever a record claims
@@ -96,9 +101,8 @@ class Salvage:
         self.ended = end is not None
         self._listed = _listed(self._data[end.end() - 1 :]) if end else Counter()
         self.facts = self._facts(sensor)
-        self._index = self._read_index("index.json")
+        self._index, layer = self._read_index("scans"), self._read_index("movable")
         self._rows = {entry.name: entry for gop in self._index or [] for entry in gop}
-        layer = self._read_index("movable.json")
         self._movable_rows = {entry.name: entry for gop in layer or [] for entry in gop}
         self._place_gops()
         said = Counter(c.frame_id for place in self._places.values() for _, c in clouds(self._data, place))
@@ -175,25 +179,24 @@ class Salvage:
                 ReadDataStream(BytesIO(self._data[max(at, 0) : max(at, 0) + 4096]))
             ).metadata
             self._version = about["archive_version"]
-            newer = int(self._version.split(".")[0]) > int(SECOND_VERSION.split(".")[0])
             self._own = read_own_channels(about)
             sequence = file_name(about["sequence"])
+            check_version(self._version)
+        except ArchiveError as error:
+            raise ArchiveError(f"{self.path}: {error}") from error
         except BROKEN:
-            newer, sequence = False, self.path.stem
+            sequence = self.path.stem
             self.notes.append(f"the description of the archive is gone; taken for sequence {sequence}")
-        if newer:
-            raise ArchiveError(f"{self.path}: archive version {self._version} is newer than this tool reads")
-        config = self._only("config.json")
-        if not isinstance(config, dict):
+        said = self._only(DESCRIPTION)
+        if not isinstance(said, dict):
             self.notes.append("the configuration is gone")
-            config = {}
-        model = self._sensor(sensor, config.get("sensor_digest"))
+            said = {}
+        config = dict(said.get("config", {}))
+        model = self._sensor(sensor, said.get("sensor"), about.get("sensor"))
         if not about:
             self._own = self._guessed(config)
-            self._version = SECOND_VERSION if self._own else self._version
-        source = about.get("source", "unknown")
         of_own = {"layers": "movable" in self._own, "labels": "labels" in self._own}
-        return ArchiveFacts(sequence, source, "", config, model, **of_own)
+        return ArchiveFacts(sequence, str(said.get("source", "unknown")), "", config, model, **of_own)
 
     def _guessed(self, config: dict[str, Any]) -> dict[str, int]:
         """The ids of the archive's own channels where the record that tells them is gone: by their topics."""
@@ -205,24 +208,22 @@ class Salvage:
                 found[name] = struct.unpack("<H", self._data[at - 4 : at - 2])[0]
         return found if found or not config.get("layers") else {"movable": 2}
 
-    def _sensor(self, given: SensorModel | None, digest: object) -> SensorModel:
-        document = self._only("sensor.json")
+    def _sensor(self, given: SensorModel | None, document: object, digest: str | None) -> SensorModel:
         if document is not None:
             return SensorModel.from_json(json.dumps(document))
         shipped = [load_sensor(path) for path in sorted(SENSORS.glob("*.json"))]
-        for model in [given, *shipped] if given else shipped:
-            if model.digest == digest or (model is given and digest is None):
-                self.notes.append(f"the sensor model is gone; {model.name} took its place")
-                return model
+        model = next((model for model in shipped if model.digest[:DIGITS] == digest), given)
+        if model is not None:
+            self.notes.append(f"the sensor model is gone; {model.name} took its place")
+            return model
         raise ArchiveError(f"{self.path}: the sensor model is gone; give the one that was used with --sensor")
 
     def _only(self, name: str) -> Any:
-        return next((content for _, _, content in attachments(self._data, name)), None)
+        return next(attachments(self._data, name), None)
 
-    def _read_index(self, name: str) -> list[tuple[ScanEntry, ...]] | None:
+    def _read_index(self, layer: str) -> list[tuple[ScanEntry, ...]] | None:
         try:
-            index = self._only(name)
-            return [tuple(entry_of(row) for row in gop) for gop in index]
+            return entries_of(self._only(INDEX)[layer])
         except BROKEN:
             return None
 
@@ -230,7 +231,7 @@ class Salvage:
         """Find the chunks, say which GOP each is, and which scans each GOP had."""
         records: dict[int, tuple[int, tuple[str, ...]]] = {}  # by where its chunk starts
         said: Counter[str] = Counter()
-        for start, end, content in attachments(self._data, "gop.json"):
+        for start, end, content in gop_records(self._data):
             try:
                 number, names = int(content["gop"]), tuple(file_name(name) for name in content["scans"])
                 said[str(content["sequence"])] += 1
@@ -273,7 +274,7 @@ class Salvage:
                 head = self._data[after : after + RECORD_HEAD].ljust(RECORD_HEAD, b"\0")
                 after += RECORD_HEAD + struct.unpack("<BQ", head)[1]
                 at = max(at, after)
-        return self._data.find(b"index.json", at, at + 64) == at + RECORD_HEAD + 20
+        return self._data.find(INDEX.encode(), at, at + 64) == at + RECORD_HEAD + 20
 
 
 def _listed(summary: bytes) -> Counter[str]:

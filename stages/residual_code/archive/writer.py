@@ -32,7 +32,6 @@ from mcap.records import (
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 
 from salpcc.schemas.files import atomic
@@ -40,12 +39,17 @@ from salpcc.schemas.labels import CLASSES, GROUPS
 from salpcc.schemas.log import Enclosed, LogChannel, LogMessage
 from salpcc.schemas.messages import COMPRESSED, LABEL, SCHEMA_TEXT, CloudMessage
 from salpcc.schemas.passing_log import PassingLog
+from salpcc.stages.residual_code.archive.documents import pack_document
 from salpcc.stages.residual_code.archive.format import (
     ARCHIVE_VERSION,
+    DESCRIPTION,
+    DIGITS,
+    GOP_HEAD,
+    GOP_OPCODE,
+    INDEX,
     LIBRARY,
     MAGIC,
     OWN_TOPICS,
-    SECOND_VERSION,
     TOPIC,
     ArchiveFacts,
     ScanPayload,
@@ -53,6 +57,7 @@ from salpcc.stages.residual_code.archive.format import (
     sequence_number,
 )
 from salpcc.stages.residual_code.archive.passing import (
+    channel_document,
     passing_chunk,
     passing_enclosed,
     passing_records,
@@ -81,7 +86,7 @@ def labels_message(payload: ScanPayload, place: int, channel: int) -> Message:
         payload.frame_id,
         payload.entry.kept,
         payload.labels,
-        format=f"salpcc-labels/{SECOND_VERSION}",
+        format=f"salpcc-labels/{ARCHIVE_VERSION}",
         point_step=4,
         fields=LABEL,
     )
@@ -107,7 +112,7 @@ class ArchiveWriter:
         self._index: list[list[list[Any]]] = []
         self._movable_index: list[list[list[Any]]] = []
         self._version = facts.version
-        log = tuple(log)
+        log = sorted(log, key=lambda channel: channel.id)
         self._own = own_channels(facts, log)
         self._chunks: list[McapRecord] = []
         self._attachments: list[McapRecord] = []
@@ -121,28 +126,44 @@ class ArchiveWriter:
         for name, number in self._own.items():
             self._channels.append(Channel(number, OWN_TOPICS[name], "cdr", {"offered_qos_profiles": ""}, 1))
             self._counts[number] = 0
-        for channel in log:
-            schema, passing = passing_records(channel)
-            self._schemas += schema
-            self._channels.append(passing)
-            self._counts[passing.id] = 0
+        # Those that hold clouds have messages here only where a cloud cannot be coded.
+        described = [channel for channel in log if channel.holds_clouds]
+        self._silent = {channel.id + 1: channel for channel in described}
         self._put(MAGIC)
         self._record(Header("ros2", LIBRARY))
         # Everything a decoder needs stands before the first chunk, so a truncated file still decodes.
         for record in [*self._schemas, *self._channels]:
             self._record(record)
-        described = {
+        for channel in log:
+            if not channel.holds_clouds:
+                self._announce(channel)
+        told = {
             "archive_version": facts.version,
             "sequence": facts.sequence,
-            "source": facts.source,
-            "inputs": facts.inputs,
+            "sensor": facts.sensor.digest[:DIGITS],
         }
-        described |= {f"{name}_channel": str(number) for name, number in self._own.items()}
-        self._enclose(Metadata("salpcc", described))
-        self._attach("sensor.json", json.loads(facts.sensor.to_json()))
-        self._attach("config.json", facts.config)
-        classes = [{"name": c.name, "group": GROUPS[c.group], "colour": list(c.colour)} for c in CLASSES]
-        self._attach("classes.json", classes)
+        told |= {f"{name}_channel": str(number) for name, number in self._own.items()}
+        self._enclose(Metadata("salpcc", told))
+        description = {
+            "classes": [
+                {"name": c.name, "group": GROUPS[c.group], "colour": list(c.colour)} for c in CLASSES
+            ],
+            "config": facts.config,
+            "inputs": facts.inputs,
+            "log": [channel_document(channel) for channel in described],
+            "sensor": json.loads(facts.sensor.to_json()),
+            "source": facts.source,
+        }
+        self._attach(DESCRIPTION, description)
+
+    def _announce(self, channel: LogChannel) -> None:
+        """Write the records of a channel of the log."""
+        schema, passing = passing_records(channel)
+        for record in [*schema, passing]:
+            self._record(record)
+        self._schemas += schema
+        self._channels.append(passing)
+        self._counts[passing.id] = 0
 
     def add_gop(self, payloads: list[ScanPayload]) -> None:
         """Write one GOP as one chunk a layer; an empty one (all its scans failed) only holds its number.
@@ -151,7 +172,8 @@ class ArchiveWriter:
         """
         names = [payload.entry.name for payload in payloads]
         # Before each chunk, so that what is left of a broken file can still be told by name.
-        self._attach("gop.json", {"gop": len(self._index), "scans": names, "sequence": self._sequence})
+        data = pack_document({"gop": len(self._index), "scans": names, "sequence": self._sequence})
+        self._put(GOP_HEAD.pack(GOP_OPCODE, 4 + len(data), zlib.crc32(data)) + data)
         self._index.append([row_of(payload.entry) for payload in payloads])
         self._movable_index.append([])
         if not payloads:
@@ -192,6 +214,9 @@ class ArchiveWriter:
     def pass_messages(self, messages: Iterable[LogMessage]) -> None:
         """Write messages of the log's channels as one compressed chunk."""
         chunk, indexes = passing_chunk(messages)
+        for index in indexes:
+            if silent := self._silent.pop(index.channel_id, None):
+                self._announce(silent)
         start, length = self._record(chunk)
         places, index_start = {}, self._at
         for index in indexes:
@@ -214,9 +239,10 @@ class ArchiveWriter:
 
     def finish(self, enclosed: Iterable[Enclosed] = (), side: Iterable[SideFile] = ()) -> None:
         """Write the index, side files, what the log encloses, and the summary."""
-        self._attach("index.json", self._index)
+        layers = {"scans": self._index}
         if any(self._movable_index):
-            self._attach("movable.json", self._movable_index)
+            layers["movable"] = self._movable_index
+        self._attach(INDEX, layers)
         for file in side:
             self._enclose(side_record(file))
         for found in enclosed:
@@ -238,34 +264,24 @@ class ArchiveWriter:
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
-        ]
         builder = RecordBuilder()
-        offsets = []
-        for opcode, records in groups:
-            before = builder.count
-            for record in records:
-                record.write(builder)
-            if records:
-                offsets.append(SummaryOffset(opcode, start + before, builder.count - before))
-        offsets_at = start + builder.count
-        for offset in offsets:
-            offset.write(builder)
+        for record in [
+            *self._schemas,
+            *self._channels,
+            statistics,
+            *self._chunks,
+            *self._attachments,
+            *self._metadata,
+        ]:
+            record.write(builder)
         summary = bytes(builder.end())
         # The CRC covers the summary and the footer up to the CRC itself.
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_at)
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, 0)
         self._put(summary)
-        self._record(Footer(start, offsets_at, zlib.crc32(head, zlib.crc32(summary))))
+        self._record(Footer(start, 0, zlib.crc32(head, zlib.crc32(summary))))
 
     def _attach(self, name: str, content: Any) -> None:
-        data = json.dumps(content, sort_keys=True, separators=(",", ":")).encode()
-        self._enclose(Attachment(0, 0, name, "application/json", data))
+        self._enclose(Attachment(0, 0, name, "", pack_document(content)))
 
     def _enclose(self, record: Attachment | Metadata) -> None:
         start, length = self._record(record)

@@ -23,6 +23,7 @@ from salpcc.schemas.errors import ArchiveError, UsageError
 from salpcc.schemas.labels import classes_of_labels, labels_of_classes
 from salpcc.stages.ingest.sources import SOURCES
 from salpcc.stages.mapping.open3d_library import load_open3d
+from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -129,7 +130,9 @@ def test_an_archive_that_is_replaced_is_read_anew(archives: Path, tmp_path: Path
 
 def test_damage_is_told_and_whole_groups_are_read(archives: Path, tmp_path: Path) -> None:
     data = bytearray((archives / "00.mcap").read_bytes())
-    at = data.index(b"000002") + 4000  # in the second group's chunk
+    chunks = ArchiveReader(archives / "00.mcap").layer_chunks()
+    chunk = next(chunk for _, gop, chunk in chunks if gop == 1)
+    at = chunk.chunk_start_offset + 4000
     data[at] ^= 1
     (tmp_path / "00.mcap").write_bytes(data)
     files = ArchiveFileSystem(str(tmp_path / "00.mcap"), skip_instance_cache=True)

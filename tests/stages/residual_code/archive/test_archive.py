@@ -10,8 +10,11 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.schemas.log import LogChannel, LogMessage
+from salpcc.schemas.passing_log import PassingLog
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.residual_code.archive.format import ArchiveFacts, ScanEntry, ScanPayload
+from salpcc.stages.residual_code.archive.fragments import attachments, gop_records
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.archive.writer import ArchiveWriter, write_archive
 
@@ -85,12 +88,12 @@ def test_mcap_tools_read_it(path: Path) -> None:
             int(p.entry.name),
             20,
             p.data,
-            "salpcc/1.1",
+            "salpcc/3.0",
         )
         for gop in GOPS
         for p in gop
     ]
-    assert names == {"sensor.json", "config.json", "classes.json", "gop.json", "index.json"}
+    assert names == {"description", "index"}
 
 
 def test_mcap_tools_seek_in_it(path: Path) -> None:
@@ -142,11 +145,15 @@ def test_damage_in_one_gop_leaves_the_others(path: Path, tmp_path: Path) -> None
     assert reader.payloads(2) == GOPS[2]
 
 
-def test_newer_major_version_is_refused(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("salpcc.stages.residual_code.archive.format.ARCHIVE_VERSION", "3.0")
-    write_archive(tmp_path / "new.mcap", FACTS, GOPS)
-    with pytest.raises(ArchiveError, match="newer"):
-        ArchiveReader(tmp_path / "new.mcap")
+@pytest.mark.parametrize(("version", "is_"), [("4.0", "newer"), ("2.0", "older")])
+def test_another_major_version_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str, is_: str
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("salpcc.stages.residual_code.archive.format.ARCHIVE_VERSION", version)
+        write_archive(tmp_path / "x.mcap", FACTS, GOPS)
+    with pytest.raises(ArchiveError, match=is_):
+        ArchiveReader(tmp_path / "x.mcap")
 
 
 @pytest.mark.parametrize("name", ["../../etc/passwd", "a/b", "..", "", "a\\b", "a\0b"])
@@ -161,7 +168,27 @@ def test_truncated_stream_still_describes_itself() -> None:
     stream = io.BytesIO()
     writer = ArchiveWriter(stream, FACTS)
     writer.add_gop(GOPS[0])  # and the machine dies
-    assert b"sensor.json" in stream.getvalue() and b'"gop":2' in stream.getvalue()
+    data = stream.getvalue()
+    gops = [content for _, _, content in gop_records(data)]  # type: ignore[arg-type]
+    assert gops == [{"gop": 0, "scans": ["000000", "000001"], "sequence": "04"}]
+    (said,) = attachments(data, "description")  # type: ignore[arg-type]
+    assert said["config"] == FACTS.config and said["sensor"]["name"] == "hdl64e"
+
+
+def test_channels_of_clouds_have_records_where_one_passes_through(tmp_path: Path) -> None:
+    cloud = LogChannel(
+        3, "/points", "cdr", "sensor_msgs/msg/PointCloud2", "ros2msg", b"\xff text", (("a", "b"),)
+    )
+    imu = LogChannel(2, "/imu", "cdr", "sensor_msgs/msg/Imu", "ros2msg", b"text")
+    for messages, there in (([], {1, 3}), ([LogMessage(3, 5, 5, 0, b"raw", ())], {1, 3, 4})):
+        path = tmp_path / f"{len(there)}.mcap"
+        write_archive(path, FACTS, GOPS, PassingLog([cloud, imu], iter(messages)))
+        with path.open("rb") as stream:
+            summary = make_reader(stream, validate_crcs=True).get_summary()
+            assert summary is not None and set(summary.channels) == there
+        reader = ArchiveReader(path)
+        assert list(reader.log.items()) == [(2, imu), (3, cloud)]
+        assert [message.data for message in reader.passing()] == [m.data for m in messages]
 
 
 def test_empty_archive_is_an_archive(tmp_path: Path) -> None:

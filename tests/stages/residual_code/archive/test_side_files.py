@@ -38,7 +38,7 @@ def archive(path: Path, files: list[SideFile] = FILES) -> Path:
 def test_files_come_back(tmp_path: Path) -> None:
     reader = ArchiveReader(archive(tmp_path / "a.mcap"))
     assert [reader.side_file(name) for name in reader.side] == FILES
-    assert reader.facts.version == "1.1" and not reader.log and not list(reader.enclosed())
+    assert reader.facts.version == "3.0" and not reader.log and not list(reader.enclosed())
     reader.check()
     bare = ArchiveReader(archive(tmp_path / "b.mcap", []))
     assert not bare.side and reader.size - bare.size > sum(reader.side.values())
