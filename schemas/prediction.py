@@ -16,6 +16,7 @@ class Prediction:
         effort: the effort that coding will take; ``fast`` where no network knows the sensor.
         residual, level_context: effort ``fast``: level minus predicted level int32, and its context uint8, ``(M,)``.
         intensity_context: effort ``fast``: uint16 ``(M,)``, None for intensities that are no hundredths.
+        order: effort ``fast``: ring of each return in the order in which they are coded, uint8 ``(M,)``.
         range_interval, intensity_interval: the learned efforts: uint32 ``(M, 2)``, start and width of the
             interval that the predicted distribution gives to the actual value. The latter is None for
             intensities that are no hundredths.
@@ -25,5 +26,6 @@ class Prediction:
     residual: NDArray[np.int32] | None = None
     level_context: NDArray[np.uint8] | None = None
     intensity_context: NDArray[np.uint16] | None = None
+    order: NDArray[np.uint8] | None = None
     range_interval: NDArray[np.uint32] | None = None
     intensity_interval: NDArray[np.uint32] | None = None

@@ -81,6 +81,7 @@ _PREDICTION_FIELDS = [
     pa.field("residual", list_of(pa.int32())),
     pa.field("level_context", list_of(pa.uint8())),
     pa.field("intensity_context", list_of(pa.uint16())),
+    pa.field("order", list_of(pa.uint8())),
     pa.field("range_interval", list_of(pa.uint32())),
     pa.field("intensity_interval", list_of(pa.uint32())),
 ]
@@ -175,7 +176,14 @@ def table_to_movable(table: pa.Table) -> list[Sweep] | None:
     return None if movable is None else table_to_sweeps(movable)
 
 
-_PREDICTED = ("residual", "level_context", "intensity_context", "range_interval", "intensity_interval")
+_PREDICTED = (
+    "residual",
+    "level_context",
+    "intensity_context",
+    "order",
+    "range_interval",
+    "intensity_interval",
+)
 
 
 def predictions_to_table(

@@ -8,8 +8,9 @@ A decoder finds the interval of a state by its rank: each slot has a bit, set wh
 a slot are counted. No search, no branch: a decoder waits for every symbol, and a wrong guess of what it will be costs
 more than the symbol.
 
-A decoder state is ``(x, position)`` in the caller's registers. Past the end it reads the last word again; whether the
-words were those of the encoder, :func:`ended` tells: the state is back where the encoder started, and no word is left.
+Two states take turns, symbol by symbol, so that a decoder need not wait for one symbol to begin with the next; they share the words.
+A decoder's are ``(x, other, position)`` in the caller's registers, x that of the next symbol. Past the end it reads the last word again; whether the
+words were those of the encoder, :func:`ended` tells: both states are back where the encoder started, and no word is left.
 """
 
 from __future__ import annotations
@@ -120,23 +121,25 @@ def refill(x: int, position: int, words: Words) -> tuple[int, int]:
 
 
 @njit(cache=True, inline="always")
-def begin(words: Words) -> tuple[int, int]:
-    """Return the first state and position; fewer than two words, or a state that cannot be, give 0."""
-    if len(words) < 2:
-        return 0, 0
-    x = np.int64(words[0]) << 32 | np.int64(words[1])
-    return int(x if x >= LOWEST else 0), 2
+def begin(words: Words) -> tuple[int, int, int]:
+    """Return both first states and the position; too few words, or a state that cannot be, give a first state of 0."""
+    if len(words) < 4:
+        return 0, 0, 0
+    x, other = np.int64(words[0]) << 32 | np.int64(words[1]), np.int64(words[2]) << 32 | np.int64(words[3])
+    return int(x if min(x, other) >= LOWEST else 0), int(other), 4
 
 
 @njit(cache=True, inline="always")
-def ended(x: int, position: int, words: Words) -> bool:
-    """Tell whether all that was encoded has been decoded, and nothing else."""
-    return x == LOWEST and position == len(words)
+def ended(state: tuple[int, int, int], words: Words) -> bool:
+    """Tell of both states and the position whether all that was encoded has been decoded, and nothing else."""
+    x, other, position = state
+    return x == LOWEST and other == LOWEST and position == len(words)
 
 
 @njit(cache=True, inline="always")
-def finish(x: int, position: int, words: Words) -> int:
-    """Put the last state of the encoder before the other words; returns the new position."""
-    words[position - 1] = x & 0xFFFFFFFF
-    words[position - 2] = x >> 32
-    return position - 2
+def finish(x: int, other: int, position: int, words: Words) -> int:
+    """Put the last states of the encoder, that of the first symbol first, before the other words; returns the new position."""
+    for state in (other, x):
+        position -= 2
+        words[position], words[position + 1] = state >> 32, state & 0xFFFFFFFF
+    return position

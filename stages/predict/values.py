@@ -37,7 +37,7 @@ def predict(sweep: Sweep, sensor: SensorModel, effort: str, before: Sweep | None
     if effort == "fast":
         found = contexts(*given, sensor) if values is None else contexts(*given, sensor, values)
         of_values = None if values is None else found.of_values
-        return Prediction(effort, found.residual, found.of_levels, of_values)
+        return Prediction(effort, found.residual, found.of_levels, of_values, found.order)
     learned = load_models(effort)
     warped = warp(before, sweep.motion, sensor) if learned.looks_back else None
     ranges = predict_ranges(*given, sensor, learned.ranges, warped)

@@ -7,139 +7,193 @@ distribution of the 101 values, so that values that a laser never reports cost n
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from numba import literal_unroll, njit
+from numpy.typing import NDArray
 
 from salpcc.stages.entropy.rans import Slots, Words, pop, refill
-from salpcc.stages.predict.vectors import count, inline, of
+from salpcc.stages.predict.static import levels
+from salpcc.stages.predict.static.columns import LANES, WIDTH, Columns, F, cell, put, renew, take
+from salpcc.stages.predict.vectors import (
+    Lanes,
+    choose,
+    inline,
+    join,
+    kernel,
+    lane,
+    larger,
+    load,
+    of,
+    pick,
+    size,
+    smaller,
+    spread,
+)
+
+F32 = NDArray[np.float32]
 
 VALUES = 101
 ESCAPE = 101  # followed by 7 even bits
 CONTEXTS = 24 * 5 * 7
-_NEAR = 40.0  # ranges that differ by more than 1/40 are another surface's
-_FLOOR = 0.15
-_AHEAD = (1.2, 0.8, 0.5)  # weights of the three returns before,
-_ABOVE = (0.5, 0.8, 0.8, 0.5)  # of four in the ring above around the same tick,
-_ABOVE2 = 0.5  # of two in the ring above that
-_RATE = 0.2
-_LEAST = 1e-3  # added to the weight of the return before
+PAD = 4  # places before and behind the values of a sweep: neighbours are read first, and weigh nothing where there are none
+_ZERO, _ONE, _TWO, _FOUR, _SEVEN = F(0.0), F(1.0), F(2.0), F(4.0), F(7.0)
+_NEAR = F(40.0)  # ranges that differ by more than 1/40 are another surface's
+_FLOOR = F(0.15)
+_AHEAD1, _AHEAD2, _AHEAD3 = F(1.2), F(0.8), F(0.5)  # weights of the three returns before,
+_ABOVE_FAR, _ABOVE_NEAR = F(0.5), F(0.8)  # of four in the ring above around the same tick,
+_ABOVE2 = F(0.5)  # of two in the ring above that
+_RATE = F(0.2)
+_LEAST = F(1e-3)  # added to the weight of the return before
+_PRIOR_VALUE, _PRIOR_ACTIVITY = F(25.0), F(4.0)
+_HIGHEST = F(100.0)
+_OF_MEAN, _OF_AHEAD, _OF_BIAS, _EXPECTED, _OF_BEFORE = F(0.57), F(0.87), F(0.06), F(0.46), F(0.46)
+_SIDES = tuple(F(bound) for bound in (-9.0, -4.0, -1.2, 1.2, 4.0, 9.0))
+_ROUGH = tuple(F(bound) for bound in (0.8, 1.8, 3.2, 6.0))
 # Where the expected value starts to count as the next of 24 sizes: steps of 1.5 to 12, of 3 to 36, of 8 beyond.
 _BOUNDS = np.array([0.75 + 1.5 * k for k in range(8)] + [13.5 + 3.0 * k for k in range(8)] + [40.0 + 8.0 * k for k in range(7)])  # fmt: skip
-_SIZE = np.searchsorted(_BOUNDS, np.arange(401) / 4.0, side="right").astype(np.int64)
+_OF_SIZE = 35 * np.searchsorted(_BOUNDS, np.arange(401) / 4.0, side="right").astype(np.int64)
+
+# Columns, a place a ring: levels and values of the three returns before, and how many there were; what has been learned along it;
+LEVEL1, LEVEL2, LEVEL3, VALUE1, VALUE2, VALUE3, COUNT, ACTIVITY, BIAS = range(9)
+# what its return sees: its own level, what weighs differences of levels; sums of the weights and of the weighted values of the rings above;
+LEVEL, PER_NEAR, OUTSIDE, SUM = range(9, 13)
+# what is guessed: the mean of the neighbours, the context's two parts; and the value that was found.
+MEAN, EXPECTED, KIND, FOUND = range(13, 17)
+COLUMNS = 17
 
 
-class Around(NamedTuple):
-    """The neighbours of a return, weighed.
-
-    Attributes:
-        w1, w2, w3: weights of the three returns before.  inner: 1 over their sum.
-        sum: of the weighted values of the rings above.  outer: 1 over all weights.
-    """
-
-    w1: float
-    w2: float
-    w3: float
-    inner: float
-    sum: float
-    outer: float
-
-
-@inline
-def _nearness(other: int, level: int, per_near: float) -> float:
-    """Weight of a neighbour by its level."""
-    gap = (other - level) * per_near
-    weight = _FLOOR + max(1.0 - gap * gap, 0.0)
-    return weight * weight
+@njit(cache=True)
+def begin() -> Columns:
+    """Return the columns before the first returns."""
+    columns = np.zeros((COLUMNS, WIDTH), np.float32)
+    columns[ACTIVITY], columns[VALUE1] = _PRIOR_ACTIVITY, _PRIOR_VALUE
+    return columns.reshape(-1)
 
 
 @inline
-def _before(back, at, i, level, here, per_near):  # type: ignore[no-untyped-def]
-    other = np.int64(level[np.uint64(max(i - back, 0))])
-    return _AHEAD[back - 1] * _nearness(other, here, per_near) if at >= back else 0.0
-
-
-@inline
-def weigh(first, at, j, j2, above, above2, level, value) -> Around:  # type: ignore[no-untyped-def]
-    """Weigh the neighbours of return number ``at`` of a ring.
-
-    Args:
-        first, above, above2: first return of the ring, of the ring above (which ends there), of that above it.
-        j, j2: last returns of the rings above that are not after it.
-    """
-    i = first + at
-    here = np.int64(level[np.uint64(i)])
-    per_near = _NEAR / max(here + 0.0, 1.0)
-    w1 = _before(1, at, i, level, here, per_near)
-    w2 = _before(2, at, i, level, here, per_near)
-    w3 = _before(3, at, i, level, here, per_near)
-    total = _LEAST + w1 + w2 + w3
-    inner = 1.0 / total
-    mean = 0.0
-    for k in range(4):
-        u = j - 1 + k
-        if u >= above and u < first:
-            weight = _ABOVE[k] * _nearness(np.int64(level[np.uint64(u)]), here, per_near)
-            total += weight
-            mean += weight * value[np.uint64(u)]
-    for u in range(j2, j2 + 2):
-        if u >= above2 and u < above:
-            weight = _ABOVE2 * _nearness(np.int64(level[np.uint64(u)]), here, per_near)
-            total += weight
-            mean += weight * value[np.uint64(u)]
-    return Around(w1, w2, w3, inner, mean, 1.0 / total)
-
-
-@inline
-def follow(j, end, tick, t):  # type: ignore[no-untyped-def]
+def follow(j: int, end: int, tick: NDArray[np.int32], t: int) -> int:
     """Move from return ``j`` of a ring that ends before ``end`` to its last one not after tick ``t``."""
     while j + 1 < end and tick[np.uint64(j + 1)] <= t:
         j += 1
     return j
 
 
-class Running(NamedTuple):
-    """What has been learned along a ring: how well the mean did, and the three values before."""
-
-    activity: float
-    bias: float
-    v1: float
-    v2: float
-    v3: float
-
-
-@inline
-def begin_ring() -> Running:
-    """Return what is known before the first return of a ring."""
-    return Running(4.0, 0.0, 25.0, 0.0, 0.0)
+@kernel
+def place(columns: Columns, of_levels: Columns, first: int, end: int) -> None:
+    """Take over the levels of rings ``first`` to before ``end`` from their columns."""
+    for at in range(first, end, LANES):
+        level = take(of_levels, levels.FOUND, at)
+        put(columns, LEVEL, at, level)
+        put(columns, PER_NEAR, at, _NEAR / larger(level, _ONE))
 
 
 @inline
-def guess(known: Running, around: Around, at: int) -> tuple[int, float]:
-    """Return the context of return ``at`` of a ring, and the mean of its neighbours."""
-    # Written so that what the value before decides comes last: a decoder waits for it.
-    further = around.w2 * known.v2 + around.w3 * known.v3
-    weight = around.w1 + _LEAST
-    ahead = weight * around.inner * known.v1 + further * around.inner
-    mean = weight * around.outer * known.v1 + (further + around.sum) * around.outer
-    v1 = known.v1
-    if at == 0:
-        v1 = ahead = mean
-    expected = (0.57 * mean + 0.87 * ahead) + ((0.06 * known.bias + 0.46) - 0.46 * v1)
-    expected = min(max(expected, 0.0), 100.0)
-    aside = v1 - expected
-    side = count(aside >= of(-9.0, -4.0, -1.2, 1.2, 4.0, 9.0, np.inf, np.inf))
-    rough = count(known.activity >= of(0.8, 1.8, 3.2, 6.0))
-    return (_SIZE[np.uint64(expected * 4.0)] * 5 + rough) * 7 + side, mean
+def _nearness(others: Lanes, level: Lanes, per_near: Lanes) -> Lanes:
+    """Weights of neighbours by their levels."""
+    gap = (others - level) * per_near
+    weight = larger(_ONE - gap * gap, _ZERO) + _FLOOR
+    return weight * weight
 
 
 @inline
-def learn(known: Running, mean: float, found: int) -> Running:
-    """Return what is known after a value."""
-    value = np.float64(found)
-    off = value - mean
-    activity = known.activity + _RATE * (abs(off) - known.activity)
-    return Running(activity, known.bias + _RATE * (off - known.bias), value, known.v1, known.v2)
+def _total(vector: Lanes) -> float:
+    four = pick(vector, 0, 1, 2, 3) + pick(vector, 4, 5, 6, 7)
+    two = pick(four, 0, 1) + pick(four, 2, 3)
+    return lane(two, 0) + lane(two, 1)
+
+
+@inline
+def weigh(r, columns, j, above, end, j2, above2, end2, level, value):  # type: ignore[no-untyped-def]
+    """Weigh the neighbours of the return of ring ``r`` in the rings above.
+
+    Args:
+        j: last return of the ring above that is not after it.  above, end: the first of that ring, and the one after its last known one.
+        j2, above2, end2: the same of the ring above that.
+        level, value: of all returns, the first at PAD.
+    """
+    if j > above and j + 2 < end and j2 >= above2 and j2 + 1 < end2:  # as a rule
+        weights = of(_ABOVE_FAR, _ABOVE_NEAR, _ABOVE_NEAR, _ABOVE_FAR, _ABOVE2, _ABOVE2, _ZERO, _ZERO)
+    else:
+        weights = of(
+            _ABOVE_FAR if above <= j - 1 else _ZERO,
+            _ABOVE_NEAR if above <= j else _ZERO,
+            _ABOVE_NEAR if j + 1 < end else _ZERO,
+            _ABOVE_FAR if j + 2 < end else _ZERO,
+            _ABOVE2 if above2 <= j2 else _ZERO,
+            _ABOVE2 if j2 + 1 < end2 else _ZERO,
+            _ZERO,
+            _ZERO,
+        )
+    others = join(load(level, j - 1 + PAD, 4), load(level, j2 + PAD, 4))
+    values = join(load(value, j - 1 + PAD, 4), load(value, j2 + PAD, 4))
+    weights = _nearness(others, columns[cell(LEVEL, r)], columns[cell(PER_NEAR, r)]) * weights
+    columns[cell(OUTSIDE, r)] = _total(weights)
+    columns[cell(SUM, r)] = _total(weights * values)
+
+
+@kernel
+def guess(columns: Columns, first: int, end: int) -> None:
+    """Guess the values of rings ``first`` to before ``end``."""
+    one, zero = spread(_ONE, LANES), spread(_ZERO, LANES)
+    for at in range(first, end, LANES):
+        level, per_near, many = (
+            take(columns, LEVEL, at),
+            take(columns, PER_NEAR, at),
+            take(columns, COUNT, at),
+        )
+        w1 = (
+            choose(many > _ZERO, _nearness(take(columns, LEVEL1, at), level, per_near) * _AHEAD1, zero)
+            + _LEAST
+        )
+        w2 = choose(many > _ONE, _nearness(take(columns, LEVEL2, at), level, per_near) * _AHEAD2, zero)
+        w3 = choose(many > _TWO, _nearness(take(columns, LEVEL3, at), level, per_near) * _AHEAD3, zero)
+        inner = w1 + (w2 + w3)
+        outer = inner + take(columns, OUTSIDE, at)
+        part = _ONE / (inner * outer)
+        before = take(columns, VALUE1, at)
+        known = w1 * before + (w2 * take(columns, VALUE2, at) + w3 * take(columns, VALUE3, at))
+        ahead = known * outer * part
+        mean = (known + take(columns, SUM, at)) * inner * part
+        begun = many > _ZERO
+        before, ahead = choose(begun, before, mean), choose(begun, ahead, mean)
+        expected = (mean * _OF_MEAN + ahead * _OF_AHEAD) + (
+            (take(columns, BIAS, at) * _OF_BIAS + _EXPECTED) - before * _OF_BEFORE
+        )
+        expected = smaller(larger(expected, _ZERO), _HIGHEST)
+        aside, activity = before - expected, take(columns, ACTIVITY, at)
+        side = rough = zero
+        for bound in literal_unroll(_SIDES):
+            side = side + choose(aside >= bound, one, zero)
+        for bound in literal_unroll(_ROUGH):
+            rough = rough + choose(activity >= bound, one, zero)
+        put(columns, MEAN, at, mean)
+        put(columns, EXPECTED, at, expected * _FOUR)
+        put(columns, KIND, at, rough * _SEVEN + side)
+
+
+@inline
+def context_of(columns: Columns, r: int) -> int:
+    """Return the context of the value that is guessed of ring ``r``."""
+    expected = np.int64(columns[cell(EXPECTED, r)])
+    return _OF_SIZE[np.uint64(expected)] + np.int64(columns[cell(KIND, r)])
+
+
+@kernel
+def learn(columns: Columns, of_levels: Columns, first: int, end: int) -> None:
+    """Learn from the values that were found of the active rings among them."""
+    for at in range(first, end, LANES):
+        active, value = take(of_levels, levels.ACTIVE, at) > _ZERO, take(columns, FOUND, at)
+        off = value - take(columns, MEAN, at)
+        activity, bias = take(columns, ACTIVITY, at), take(columns, BIAS, at)
+        renew(columns, ACTIVITY, at, active, activity + (size(off) - activity) * _RATE)
+        renew(columns, BIAS, at, active, bias + (off - bias) * _RATE)
+        renew(columns, COUNT, at, active, take(columns, COUNT, at) + _ONE)
+        renew(columns, VALUE3, at, active, take(columns, VALUE2, at))
+        renew(columns, VALUE2, at, active, take(columns, VALUE1, at))
+        renew(columns, VALUE1, at, active, value)
+        renew(columns, LEVEL3, at, active, take(columns, LEVEL2, at))
+        renew(columns, LEVEL2, at, active, take(columns, LEVEL1, at))
+        renew(columns, LEVEL1, at, active, take(columns, LEVEL, at))
 
 
 @inline

@@ -6,13 +6,11 @@ the same azimuth plus a running mean of that difference; and the line that a run
 Means over many returns carry little of their noise, which is what most bits are spent on. A running mean that is
 far off starts anew: a surface ended there.
 
-Encoder and decoder are one walk. Rings are walked in turn; what depends on the ring above alone is worked
-out for the whole ring before.
+Encoder and decoder are one walk (:mod:`.walk`). What is known of the rings stands in columns (:mod:`.columns`), so that the next
+returns of eight rings are guessed, and learned from, in one go.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,40 +18,59 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, sin_cos
+from salpcc.stages.predict.static.columns import LANES, WIDTH, Columns, F, cell, put, renew, take
 from salpcc.stages.predict.vectors import (
-    Lanes,
-    count,
+    choose,
     inline,
     kernel,
     lane,
     larger,
     load,
     of,
-    pick,
     size,
     smaller,
-    splice,
     spread,
     store,
+    whole,
 )
 
 F64 = NDArray[np.float64]
+F32 = NDArray[np.float32]
 
 MAX_LEVEL = (1 << 20) - 1
 CONTEXTS = 220
-_FINEST = (1023 - 3) << 2  # of 1/8 of a level, quarter octaves
+_FINEST = (127 - 3) << 2  # of 1/8 of a level, quarter octaves
 _SIDES = 5
-_FAR_GAP = 12.0  # ticks; returns further apart are not neighbours
-_SURFACE = 45.0  # counts; a return so far off does not belong to the running means
-_OFFSET_RATE = 0.12
-_LEVEL_RATE = 0.4
-_SLOPE_RATE = 0.2
-_DENOISE = 0.55
-_ERROR_RATE = 0.25
-_PRIOR_ERROR = 12.0  # counts
-# Columns of a ring's memory: 1/rho, azimuth, denoised 1/rho; four together: errors of the predictors, residual.
-_INVERSE, _AZIMUTH, _CLEAN, _ERRORS = 0, 1, 2, 4
-COLUMNS = 8
+_ZERO, _HALF, _ONE, _SIXTEEN = F(0.0), F(0.5), F(1.0), F(16.0)
+_FAR_GAP = F(12.0)  # ticks; returns further apart are not neighbours
+_PER_SURFACE = F(1.0 / 45.0)  # counts; a return so far off does not belong to the running means
+_OFFSET_RATE, _LEVEL_RATE, _SLOPE_RATE, _ERROR_RATE, _ACTIVITY_RATE = F(0.12), F(0.4), F(0.2), F(0.25), F(0.2)
+_DENOISE = F(0.55)
+_PRIOR_ERROR, _PRIOR_ACTIVITY = F(12.0), F(10.0)  # counts
+_PRIOR = F(1e-3)  # 1/rho
+_LOWEST, _HIGHEST = F(0.6), F(1.7)  # of 1/rho of the return before
+_EXPECTED, _OF_GAP, _OF_MISSES = F(0.26), F(0.031), F(0.0016)
+_OF_MISS, _OF_ACTIVITY, _OF_ERRORS, _OF_RANGE = F(0.069), F(0.070), F(0.064), F(4.9e-6)
+_OF_TREND, _OF_STEP = F(0.081), F(0.0155)
+_NEAR_SIDE, _FAR_SIDE = F(0.4), F(1.5)  # of what is expected
+_LEAST, _MOST, _TOP = F(0.125), F(255.0), F(MAX_LEVEL)
+_LIMIT, _FAR, _FARTHEST = F(200.0), F(500.0), F(4000.0)  # counts
+_STEEP = F(9.0)
+_NOTHING, _NONE = F(1e-9), F(np.inf)  # ticks
+
+# The row of a return that the ring below may see: 1/rho, azimuth, denoised 1/rho, nothing; errors of the predictors, residual.
+DEPTH, _ROW = 64, 8
+_INVERSE, _AZIMUTH, _CLEAN, _ERRORS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4)
+# Columns: numbers of the ring;
+BASE, OFFSET, LEVER, COSINE, PER_COSINE = range(5)
+# what has been learned along it, distances as 1/rho: errors of the predictors in counts, running; the prediction before's miss in counts,
+# and its running size; difference to the ring above, running, and whether there is one; running level and slope; of the return before;
+E0, E1, E2, MISS, ACTIVITY, DIFFERENCE, FOLLOWED, RUNNING, SLOPE, LAST = range(5, 15)
+# what its next return sees: whether there is one in this wave; ticks to its neighbours above and their 1/rho; their errors, their misses; ticks to the one before;
+ACTIVE, AFTER, BEFORE, LEFT, RIGHT, U0, U1, U2, UM, GAP = range(15, 25)
+# what is guessed: 1/rho by each predictor, of the ring above, of the line, by all; the context's two parts; the level, and the one that was found.
+P0, P1, P2, SEEN, AHEAD, GUESSED, EXPECTED, SIDE, LEVEL, FOUND, DENOISED = range(25, 36)
+COLUMNS = 36
 
 
 @njit(cache=True)
@@ -68,185 +85,196 @@ def laser_table(sensor: SensorModel) -> F64:
     return np.stack([*columns, _cosines(sensor.theta)], axis=1)
 
 
-class Ring(NamedTuple):
-    """Numbers of one ring, of its laser and of the step of levels."""
-
-    base: float  # counts of the middle of level 0
-    offset: float  # azimuth, ticks
-    lever: float  # arm, tick-counts
-    cosine: float
-    per_cosine: float
-    step: int
-    per_step: float
-
-
-@inline
-def ring_of(table: F64, laser: int, step: int) -> Ring:
-    """Return the numbers of a laser's ring; table from :func:`laser_table`."""
-    base = table[laser, 0] + (step - 1) / 2.0
-    cosine = table[laser, 3]
-    return Ring(base, table[laser, 1], table[laser, 2], cosine, 1.0 / cosine, step, 1.0 / step)
-
-
-@kernel
-def align(tick, first, n, ring, above, n_above, clean, errors):  # type: ignore[no-untyped-def]
-    """See the ring above from a ring: its denoised 1/rho at each azimuth (0: none), and how well it was predicted.
-
-    Args:
-        first, n: the ring's returns.  above: the memory of the ring above.
-        clean: receives 1/rho, ``(n,)``.  errors: receives ``(n, 4)``: 0.5 + means of the predictors', sum of residuals.
-    """
-    base, part = of(0.5, 0.5, 0.5, 0.0), of(0.5, 0.5, 0.5, 1.0)
-    j = -1
-    last = n_above - 1
-    for i in range(n):
-        azimuth = (
-            tick[np.uint64(first + i)] + ring.offset + ring.lever * above[np.uint64(max(j, 0)), _INVERSE]
-        )
-        while j < last and above[np.uint64(j + 1), _AZIMUTH] <= azimuth:
-            j += 1
-        while j >= 0 and above[np.uint64(j), _AZIMUTH] > azimuth:
-            j -= 1
-        a = np.uint64(max(j, 0))
-        b = np.uint64(min(j + 1, last))
-        after = azimuth - above[a, _AZIMUTH]
-        before = above[b, _AZIMUTH] - azimuth
-        left = j >= 0 and after < _FAR_GAP
-        right = j < last and before < _FAR_GAP
-        p = above[a if left else b, _CLEAN]
-        q = above[b if right else a, _CLEAN]
-        t = after / max(after + before, 1e-9) if left and right else 0.0
-        between = p + t * (q - p)
-        nearest = p if t < 0.5 else q
-        seen = between if abs(p - q) * 16.0 < p + q else nearest
-        at = np.uint64(i)
-        clean[at] = seen if left or right else 0.0
-        both = load(above, int(a) * COLUMNS + _ERRORS, 4) + load(above, int(b) * COLUMNS + _ERRORS, 4)
-        store(errors, i * 4, base + part * both)
+@njit(cache=True)
+def begin(table: F64, rings: NDArray[np.int64], step: int) -> Columns:
+    """Return the columns of ``rings`` before their first returns; table from :func:`laser_table`."""
+    columns = np.zeros((COLUMNS, WIDTH), np.float32)
+    columns[COSINE] = columns[PER_COSINE] = columns[GAP] = _ONE
+    columns[E0] = columns[E1] = columns[E2] = _PRIOR_ERROR
+    columns[ACTIVITY] = _PRIOR_ACTIVITY
+    for r in range(len(rings)):
+        offset, azimuth, lever, cosine = table[rings[r]]
+        columns[BASE, r] = offset + (step - 1) / 2.0  # counts of the middle of level 0
+        columns[OFFSET, r], columns[LEVER, r] = azimuth, lever
+        columns[COSINE, r], columns[PER_COSINE, r] = cosine, 1.0 / cosine
+    return columns.reshape(-1)
 
 
 @njit(cache=True)
-def errors_without(size: int) -> F64:
-    """Return what :func:`align` finds of errors where there is no ring above, ``(size, 4)``."""
-    errors = np.full((size, 4), 0.5)
-    errors[:, 3] = 2.0 * _PRIOR_ERROR
-    return errors
+def no_rows(rings: int) -> F32:
+    """Return room for the rows of the last DEPTH returns of each ring; rings stand a row further apart than that, for the sake of caches."""
+    return np.zeros(rings * (DEPTH + 1) * _ROW, np.float32)
 
 
-class Running(NamedTuple):
-    """What has been learned along a ring; distances as 1/rho.
+@inline
+def _row(r: int, i: int) -> np.uint64:
+    """Return where the row of return ``i`` of ring ``r`` begins."""
+    return np.uint64((r * (DEPTH + 1) + (i & (DEPTH - 1))) * _ROW)
 
-    Attributes:
-        errors: of the three predictors in counts, running; a fourth lane is nobody's.
-        miss: of the prediction before, counts.  activity: its running size.
-        difference: running, to the ring above.  followed: whether there is one.
-        level, slope: running.  last: of the return before.
+
+@inline
+def see(r: int, tick: int, known: int, j: int, columns: Columns, rows: F32) -> int:
+    """Fill the columns of what the next return of ring ``r`` sees of the ring above.
+
+    Args:
+        known: returns of the ring above that are known.
+        j: what the return before gave, -1 at first.
+
+    Returns:
+        the last return of the ring above that is not behind this one, -1 for none.
     """
-
-    errors: Lanes
-    miss: float
-    activity: float
-    difference: float
-    followed: bool
-    level: float
-    slope: float
-    last: float
-
-
-class Guess(NamedTuple):
-    """A prediction: its context, the level, 1/rho by the three predictors, and by all."""
-
-    context: int
-    level: int
-    of_each: Lanes
-    inverse: float
-
-
-@inline
-def begin_ring(clean: float) -> Running:
-    """Return what is known before the first return of a ring, where the ring above says 1/rho ``clean`` (0: nothing)."""
-    last = clean if clean > 0.0 else 1e-3
-    return Running(spread(_PRIOR_ERROR, 4), 0.0, 10.0, 0.0, False, last, 0.0, last)
+    if known == 0:
+        columns[cell(AFTER, r)] = columns[cell(BEFORE, r)] = _NONE
+        columns[cell(U0, r)] = columns[cell(U1, r)] = columns[cell(U2, r)] = _ZERO
+        columns[cell(UM, r)] = _PRIOR_ERROR + _PRIOR_ERROR
+        return j
+    above, last, oldest = r - 1, known - 1, max(known - DEPTH, 0)
+    j = max(j, oldest - 1)
+    azimuth = (F(tick) + columns[cell(OFFSET, r)]) + columns[cell(LEVER, r)] * rows[
+        _row(above, max(j, oldest)) + _INVERSE
+    ]
+    while j < last and rows[_row(above, j + 1) + _AZIMUTH] <= azimuth:
+        j += 1
+    while j >= oldest and rows[_row(above, j) + _AZIMUTH] > azimuth:
+        j -= 1
+    a, b = _row(above, max(j, oldest)), _row(above, min(j + 1, last))
+    columns[cell(AFTER, r)] = azimuth - rows[a + _AZIMUTH] if j >= oldest else _NONE
+    columns[cell(BEFORE, r)] = rows[b + _AZIMUTH] - azimuth if j < last else _NONE
+    columns[cell(LEFT, r)], columns[cell(RIGHT, r)] = rows[a + _CLEAN], rows[b + _CLEAN]
+    both = load(rows, a + _ERRORS, 4) + load(rows, b + _ERRORS, 4)
+    columns[cell(U0, r)], columns[cell(U1, r)] = lane(both, 0), lane(both, 1)
+    columns[cell(U2, r)], columns[cell(UM, r)] = lane(both, 2), lane(both, 3)
+    return j
 
 
-@inline
-def guess(known: Running, gap: float, clean: float, errors: Lanes, ring: Ring) -> Guess:
-    """Predict a return ``gap`` ticks behind the one before, by what :func:`align` found at it."""
-    last = known.last
-    smooth = clean + known.difference if clean > 0.0 and known.followed else last
-    trend = known.level + known.slope * gap
-    of_each = smaller(1.7 * last, larger(0.6 * last, of(last, smooth, trend, last)))
-    smooth, trend = lane(of_each, 1), lane(of_each, 2)
-    # Weights 1 / error^3, times all three errors, so that one division does.
-    x = known.errors + errors
-    w = pick(x, 1, 0, 0, 3) * pick(x, 2, 2, 1, 3)
-    w = w * w * w
-    wp, wx = w * of_each, w * x
-    total = lane(w, 0) + lane(w, 1) + lane(w, 2)
-    mean = lane(wp, 0) + lane(wp, 1) + lane(wp, 2)
-    rho = total / mean
-    r = rho * ring.per_cosine
-    counts = r * rho  # of a unit of 1/rho, here
-    before = (0.26 + 0.031 * gap + 0.0016 * lane(errors, 3)) + (
-        0.069 * abs(known.miss) + 0.070 * known.activity
-    )
-    expected = (before + 0.064 * ((lane(wx, 0) + lane(wx, 1) + lane(wx, 2)) / total)) + (
-        4.9e-6 * r
-        + (
-            0.081 * min(abs(smooth - trend) * counts, 500.0)
-            + 0.0155 * min(abs(smooth - last) * counts, 500.0)
+@kernel
+def guess(columns: Columns, first: int, end: int, per_step: float) -> None:
+    """Guess the next levels of rings ``first`` to before ``end``, by what :func:`see` found."""
+    one, zero, prior = spread(_ONE, LANES), spread(_ZERO, LANES), spread(_PRIOR, LANES)
+    for at in range(first, end, LANES):
+        after, before = take(columns, AFTER, at), take(columns, BEFORE, at)
+        left, right = after < _FAR_GAP, before < _FAR_GAP
+        pa, pb = take(columns, LEFT, at), take(columns, RIGHT, at)
+        p, q = choose(left, pa, pb), choose(right, pb, pa)
+        t = choose(left, choose(right, after / larger(after + before, _NOTHING), zero), zero)
+        nearest = choose(t < _HALF, p, q)
+        seen = choose(size(p - q) * _SIXTEEN < p + q, p + t * (q - p), nearest)
+        clean = choose(left, seen, choose(right, seen, zero))
+        put(columns, SEEN, at, clean)
+        last, gap = take(columns, LAST, at), take(columns, GAP, at)
+        begun = last > _ZERO
+        last = choose(begun, last, choose(clean > _ZERO, clean, prior))
+        known = choose(take(columns, FOLLOWED, at) > _ZERO, clean + take(columns, DIFFERENCE, at), last)
+        smooth = choose(clean > _ZERO, known, last)
+        trend = choose(begun, take(columns, RUNNING, at), last) + take(columns, SLOPE, at) * gap
+        put(columns, AHEAD, at, trend)
+        low, high = last * _LOWEST, last * _HIGHEST
+        smooth, trend = smaller(high, larger(low, smooth)), smaller(high, larger(low, trend))
+        put(columns, P0, at, last)
+        put(columns, P1, at, smooth)
+        put(columns, P2, at, trend)
+        # Weights 1 / error^3, times all three errors, so that one division does.
+        x0 = take(columns, E0, at) + (take(columns, U0, at) * _HALF + _HALF)
+        x1 = take(columns, E1, at) + (take(columns, U1, at) * _HALF + _HALF)
+        x2 = take(columns, E2, at) + (take(columns, U2, at) * _HALF + _HALF)
+        w0, w1, w2 = x1 * x2, x0 * x2, x0 * x1
+        w0, w1, w2 = w0 * w0 * w0, w1 * w1 * w1, w2 * w2 * w2
+        total = w0 + w1 + w2
+        mean = w0 * last + w1 * smooth + w2 * trend
+        part = _ONE / total
+        rho = total / mean
+        put(columns, GUESSED, at, mean * part)
+        r = rho * take(columns, PER_COSINE, at)
+        counts = r * rho  # of a unit of 1/rho, here
+        expected = (gap * _OF_GAP + _EXPECTED + take(columns, UM, at) * _OF_MISSES) + (
+            size(take(columns, MISS, at)) * _OF_MISS + take(columns, ACTIVITY, at) * _OF_ACTIVITY
         )
-    )
-    aside = (1.0 - last * rho) * r
-    side = count(aside >= of(-1.5, -0.4, 0.4, 1.5) * expected)
-    fine = np.float64(min(max(expected * ring.per_step, 0.125), 255.0)).view(np.int64) >> 50
-    # A sensor with odd numbers may make NaN of it, which must not lead out of the tables.
-    context = min(max(int(fine) - _FINEST, 0), CONTEXTS // _SIDES - 1) * _SIDES + side
-    level = int(min(max((r - ring.base) * ring.per_step + 0.5, 0.0), MAX_LEVEL + 0.0))
-    return Guess(context, level, of_each, mean / total)
+        expected = (expected + (w0 * x0 + w1 * x1 + w2 * x2) * part * _OF_ERRORS) + (
+            r * _OF_RANGE
+            + (
+                smaller(size(smooth - trend) * counts, _FAR) * _OF_TREND
+                + smaller(size(smooth - last) * counts, _FAR) * _OF_STEP
+            )
+        )
+        aside = (_ONE - last * rho) * r
+        near, wide = expected * _NEAR_SIDE, expected * _FAR_SIDE
+        side = (
+            choose(aside + wide >= _ZERO, one, zero)
+            + choose(aside + near >= _ZERO, one, zero)
+            + choose(aside >= near, one, zero)
+            + choose(aside >= wide, one, zero)
+        )
+        put(columns, SIDE, at, side)
+        put(columns, EXPECTED, at, smaller(larger(expected * per_step, _LEAST), _MOST))
+        level = smaller(larger((r - take(columns, BASE, at)) * per_step + _HALF, _ZERO), _TOP)
+        put(columns, LEVEL, at, whole(level))
 
 
 @inline
-def learn(
-    known: Running,
-    guessed: Guess,
-    found: int,
-    gap: float,
-    clean: float,
-    at: int,
-    tick: int,
-    ring: Ring,
-    here: F64,
-) -> Running:
-    """Return what is known after a return of level ``found``; its row of the ring's memory ``here`` is filled."""
-    inverse = guessed.inverse
-    miss = min(max(np.float64((found - guessed.level) * ring.step), -500.0), 500.0)
-    activity = known.activity + 0.2 * (min(abs(miss), 200.0) - known.activity)
-    r = max(found * ring.step + ring.base, 1.0)
-    rho = max(r * ring.cosine, 1.0)
-    w = 1.0 / rho
-    off_each = smaller(4000.0, size(guessed.of_each * rho - 1.0) * r)
-    errors = known.errors + (smaller(200.0, off_each) - known.errors) * _ERROR_RATE
-    per_surface = rho * r * (1.0 / _SURFACE)
-    off = (w - inverse) * per_surface
-    row = np.uint64(at)
-    here[row, _INVERSE] = w
-    here[row, _AZIMUTH] = tick + ring.offset + ring.lever * w
-    here[row, _CLEAN] = w + _DENOISE * max(1.0 - off * off, 0.0) * (inverse - w)
-    store(here, at * COLUMNS + _ERRORS, splice(off_each, spread(abs(miss), 4), 3))
-    # Without branches: where surfaces end, nobody foresees.
-    drift = w - clean - known.difference
-    off = drift * per_surface
-    rate = min(_OFFSET_RATE + off * off, 1.0)
-    nearer = known.difference + (rate if known.followed else 1.0) * drift
-    difference = nearer if clean > 0.0 else known.difference
-    ahead = known.level + known.slope * gap
-    drift = w - ahead
-    off = drift * per_surface
-    off *= off
-    level = ahead + min(_LEVEL_RATE + off, 1.0) * drift
-    slope = known.slope + _SLOPE_RATE * drift / gap
-    slope = slope if off < 9.0 else 0.0
-    if at == 0:
-        level, slope = w, 0.0
-    return Running(errors, miss, activity, difference, known.followed or clean > 0.0, level, slope, w)
+def context_of(columns: Columns, r: int) -> int:
+    """Return the context of the level that is guessed of ring ``r``."""
+    fine = np.float32(columns[cell(EXPECTED, r)]).view(np.int32) >> 21
+    # A sensor with odd numbers may make anything of it, which must not lead out of the tables.
+    octave = min(max(int(fine) - _FINEST, 0), CONTEXTS // _SIDES - 1)
+    return octave * _SIDES + int(columns[cell(SIDE, r)])
+
+
+@kernel
+def learn(columns: Columns, first: int, end: int, step: float) -> None:
+    """Learn from the levels that were found of the active rings among them."""
+    one, zero = spread(_ONE, LANES), spread(_ZERO, LANES)
+    for at in range(first, end, LANES):
+        active = take(columns, ACTIVE, at) > _ZERO
+        found = take(columns, FOUND, at)
+        miss = (found - take(columns, LEVEL, at)) * step
+        miss = smaller(larger(miss, -_FAR), _FAR)
+        renew(columns, MISS, at, active, miss)
+        activity = take(columns, ACTIVITY, at)
+        renew(
+            columns,
+            ACTIVITY,
+            at,
+            active,
+            activity + (smaller(size(miss), _LIMIT) - activity) * _ACTIVITY_RATE,
+        )
+        r = larger(found * step + take(columns, BASE, at), _ONE)
+        rho = larger(r * take(columns, COSINE, at), _ONE)
+        w = _ONE / rho
+        for k in range(3):
+            off = smaller(size(take(columns, P0 + k, at) * rho - _ONE) * r, _FARTHEST)
+            put(columns, U0 + k, at, off)
+            error = take(columns, E0 + k, at)
+            renew(columns, E0 + k, at, active, error + (smaller(off, _LIMIT) - error) * _ERROR_RATE)
+        per_surface = rho * r * _PER_SURFACE
+        inverse = take(columns, GUESSED, at)
+        off = (w - inverse) * per_surface
+        put(columns, DENOISED, at, w + larger(_ONE - off * off, _ZERO) * _DENOISE * (inverse - w))
+        begun = take(columns, LAST, at) > _ZERO
+        renew(columns, LAST, at, active, w)
+        seen, followed = take(columns, SEEN, at), take(columns, FOLLOWED, at)
+        difference = take(columns, DIFFERENCE, at)
+        drift = w - seen - difference
+        off = drift * per_surface
+        rate = choose(followed > _ZERO, smaller(off * off + _OFFSET_RATE, _ONE), one)
+        renew(columns, DIFFERENCE, at, active, choose(seen > _ZERO, difference + rate * drift, difference))
+        renew(columns, FOLLOWED, at, active, choose(seen > _ZERO, one, followed))
+        ahead = take(columns, AHEAD, at)
+        drift = w - ahead
+        off = drift * per_surface
+        off = off * off
+        running = ahead + smaller(off + _LEVEL_RATE, _ONE) * drift
+        renew(columns, RUNNING, at, active, choose(begun, running, w))
+        slope = take(columns, SLOPE, at) + drift * _SLOPE_RATE / take(columns, GAP, at)
+        renew(columns, SLOPE, at, active, choose(begun, choose(off < _STEEP, slope, zero), zero))
+
+
+@inline
+def leave(r: int, i: int, tick: int, columns: Columns, rows: F32) -> None:
+    """Leave behind what the ring below may see of return ``i`` of ring ``r``."""
+    row, inverse = _row(r, i), columns[cell(LAST, r)]
+    rows[row + _INVERSE] = inverse
+    rows[row + _AZIMUTH] = (F(tick) + columns[cell(OFFSET, r)]) + columns[cell(LEVER, r)] * inverse
+    rows[row + _CLEAN] = columns[cell(DENOISED, r)]
+    missed = abs(columns[cell(MISS, r)])
+    errors = of(columns[cell(U0, r)], columns[cell(U1, r)], columns[cell(U2, r)], missed)
+    store(rows, row + _ERRORS, errors)

@@ -1,7 +1,6 @@
-"""The walk over a sweep of effort ``fast``, of encoder and decoder: levels and intensities side by side.
+"""The walk over a sweep of effort ``fast``, of encoder and decoder: levels and intensities of all rings, wave after wave (:mod:`.waves`).
 
-A value's context waits for the value before, and a processor that waits could do something else. So while the levels of one
-ring are walked, the intensities of the ring before are, too: two chains of steps in one loop, in little more time than one.
+The returns of a wave are predicted in vectors, and a processor need not wait for one to begin with the next.
 """
 
 from __future__ import annotations
@@ -14,95 +13,166 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.rans import Slots, Words, begin, ended
 from salpcc.stages.predict.static import intensities, levels
+from salpcc.stages.predict.static.columns import LANES, Columns, F, cell
+from salpcc.stages.predict.static.intensities import PAD
 from salpcc.stages.predict.static.tokens import get
-from salpcc.stages.predict.sweep_walk import longest_ring
-from salpcc.stages.predict.vectors import kernel, load
+from salpcc.stages.predict.vectors import inline, kernel
 
-Floats = NDArray[np.float64]
-Starts = NDArray[np.int64]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 Ints = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
+
+_AT, _SEEN, _ABOVE, _ABOVE2 = 0, 1, 2, 3
 
 
 class Values(NamedTuple):
     """Levels or intensities of a sweep's M returns.
 
     Attributes:
-        value: ``(M,)``, read by the encoder, filled by the decoder.
+        value: ``(PAD + M + PAD,)`` whole numbers, read by the encoder, filled by the decoder.
         context: ``(M,)``; the encoder fills it.
         residual: int32 ``(M,)``, of levels; the encoder fills it.
         slots, words: the tables of symbols, and what the decoder reads.
     """
 
-    value: Ints | Bytes
+    value: F32
     context: Bytes | NDArray[np.uint16]
     residual: Ints
     slots: Slots
     words: Words
 
 
-class Span(NamedTuple):
-    """The returns of a ring: where it begins and how many they are."""
+class Rings(NamedTuple):
+    """The R rings that have returns, and how far the walk has come.
 
-    first: int
-    n: int
+    Attributes:
+        first: their first returns, ``(R,)``.
+        reached: ``(R, 4)``, the next return; what :func:`.levels.see` gave; the returns of the two rings above at its tick.
+        rows: see :func:`.levels.no_rows`.
+    """
+
+    first: I64
+    reached: I64
+    rows: F32
+
+
+@njit(cache=True)
+def _before_all(first: I64) -> Rings:
+    reached = np.empty((len(first), 4), np.int64)
+    for r in range(len(first)):
+        reached[r] = first[r], -1, first[max(r - 1, 0)] - 1, first[max(r - 2, 0)] - 1
+    return Rings(first, reached, levels.no_rows(len(first)))
+
+
+@inline
+def _see_levels(rings: Rings, wave: Bytes, tick: Ints, of_levels: Columns) -> None:
+    for ring in wave:
+        r = np.int64(ring)
+        u = np.uint64(r)
+        at = rings.reached[u, _AT]
+        of_levels[cell(levels.ACTIVE, r)] = F(1.0)
+        now = np.int64(tick[np.uint64(at)])
+        of_levels[cell(levels.GAP, r)] = F(now - tick[np.uint64(at - 1)]) if at > rings.first[u] else F(2.0)
+        v = np.uint64(r - 1)
+        known = rings.reached[v, _AT] - rings.first[v] if r > 0 else 0
+        rings.reached[u, _SEEN] = levels.see(r, now, known, rings.reached[u, _SEEN], of_levels, rings.rows)
+
+
+@inline
+def _see_values(rings: Rings, wave: Bytes, tick: Ints, of_values: Columns, level: F32, value: F32) -> None:
+    for ring in wave:
+        r = np.int64(ring)
+        u = np.uint64(r)
+        v, w = np.uint64(r - 1 if r > 0 else 0), np.uint64(r - 2 if r > 1 else 0)
+        now = tick[np.uint64(rings.reached[u, _AT])]
+        end = rings.reached[v, _AT] if r > 0 else 0
+        end2 = rings.reached[w, _AT] if r > 1 else 0
+        j = intensities.follow(rings.reached[u, _ABOVE], end, tick, now)
+        j2 = intensities.follow(rings.reached[u, _ABOVE2], end2, tick, now)
+        rings.reached[u, _ABOVE], rings.reached[u, _ABOVE2] = j, j2
+        intensities.weigh(r, of_values, j, rings.first[v], end, j2, rings.first[w], end2, level, value)
+
+
+@inline
+def _code_levels(decoding, rings, wave, of_levels, level, x):  # type: ignore[no-untyped-def]
+    x, other, position = x
+    for ring in wave:
+        r = np.int64(ring)
+        i = rings.reached[np.uint64(r), _AT]
+        at = np.uint64(i + PAD)
+        context, guessed = levels.context_of(of_levels, r), np.int64(of_levels[cell(levels.LEVEL, r)])
+        if decoding:
+            change, x, position = get(x, position, level.words, context, level.slots)
+            x, other = other, x
+            level.value[at] = F(min(max(guessed + change, 0), levels.MAX_LEVEL))
+        else:
+            level.context[np.uint64(i)] = context
+            level.residual[np.uint64(i)] = np.int64(level.value[at]) - guessed
+        of_levels[cell(levels.FOUND, r)] = level.value[at]
+    return x, other, position
+
+
+@inline
+def _code_values(decoding, rings, wave, of_values, value, x):  # type: ignore[no-untyped-def]
+    x, other, position = x
+    for ring in wave:
+        r = np.int64(ring)
+        i = rings.reached[np.uint64(r), _AT]
+        at = np.uint64(i + PAD)
+        context = intensities.context_of(of_values, r)
+        if decoding:
+            found, x, position = intensities.get(x, position, value.words, context, value.slots)
+            x, other = other, x
+            value.value[at] = F(found)
+        else:
+            value.context[np.uint64(i)] = context
+        of_values[cell(intensities.FOUND, r)] = value.value[at]
+    return x, other, position
+
+
+@inline
+def _advance(rings: Rings, wave: Bytes, tick: Ints, of_levels: Columns) -> None:
+    for ring in wave:
+        r = np.int64(ring)
+        u = np.uint64(r)
+        at = rings.reached[u, _AT]
+        levels.leave(r, at - rings.first[u], tick[np.uint64(at)], of_levels, rings.rows)
+        rings.reached[u, _AT] = at + 1
+        of_levels[cell(levels.ACTIVE, r)] = F(0.0)
 
 
 @kernel
-def _walk_rings(decoding, tick, ring, span, here, clean, errors, level, x, earlier, above, above2, value, y):  # type: ignore[no-untyped-def]
-    """Walk the levels of a ring, and the intensities of the ring before it.
-
-    Args:
-        ring, span, here: numbers, returns, and memory to fill, of the ring of levels.
-        clean, errors: what :func:`.levels.align` found.
-        earlier: the ring of intensities.  above, above2: first returns of the ring above it (which ends there), and of that above it.
-        level, value: :class:`Values`.
-        x, y: state and position of their decoders.
-
-    Returns:
-        x and y afterwards.
-    """
-    (x, at_x), (y, at_y) = x, y
-    of_levels, of_values = levels.begin_ring(clean[0]), intensities.begin_ring()
-    j, j2 = above - 1, above2 - 1
-    for i in range(max(span.n, earlier.n)):
-        if i < earlier.n:
-            at = np.uint64(earlier.first + i)
-            j = intensities.follow(j, earlier.first, tick, tick[at])
-            j2 = intensities.follow(j2, above, tick, tick[at])
-            around = intensities.weigh(earlier.first, i, j, j2, above, above2, level.value, value.value)
-            context, mean = intensities.guess(of_values, around, i)
-            if decoding:
-                shade, y, at_y = intensities.get(y, at_y, value.words, context, value.slots)
-                value.value[at] = shade
-            else:
-                shade = np.int64(value.value[at])
-                value.context[at] = context
-            of_values = intensities.learn(of_values, mean, shade)
-        if i < span.n:
-            at = np.uint64(span.first + i)
-            now, seen = np.int64(tick[at]), clean[np.uint64(i)]
-            gap = np.float64(now - tick[np.uint64(span.first + i - 1)]) if i > 0 else 2.0
-            guessed = levels.guess(of_levels, gap, seen, load(errors, i * 4, 4), ring)
-            if decoding:
-                change, x, at_x = get(x, at_x, level.words, guessed.context, level.slots)
-                found = min(max(guessed.level + change, 0), levels.MAX_LEVEL)
-                level.value[at] = found
-            else:
-                found = np.int64(level.value[at])
-                level.context[at] = guessed.context
-                level.residual[at] = found - guessed.level
-            of_levels = levels.learn(of_levels, guessed, found, gap, seen, i, now, ring, here)
-    return (x, at_x), (y, at_y)
+def _walk(decoding, rings, order, ends, tick, step, of_levels, of_values, level, value, valued, x, y):  # type: ignore[no-untyped-def]
+    done = 0
+    for end in ends:
+        wave = order[done:end]
+        lowest, beyond = np.int64(wave[0]) // LANES * LANES, np.int64(wave[len(wave) - 1]) + 1
+        _see_levels(rings, wave, tick, of_levels)
+        levels.guess(of_levels, lowest, beyond, F(1.0 / step))
+        x = _code_levels(decoding, rings, wave, of_levels, level, x)
+        levels.learn(of_levels, lowest, beyond, F(step))
+        if valued:
+            intensities.place(of_values, of_levels, lowest, beyond)
+            _see_values(rings, wave, tick, of_values, level.value, value.value)
+            intensities.guess(of_values, lowest, beyond)
+            y = _code_values(decoding, rings, wave, of_values, value, y)
+            intensities.learn(of_values, of_levels, lowest, beyond)
+        _advance(rings, wave, tick, of_levels)
+        done = end
+    return x, y
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def walk(
     decoding: bool,
-    starts: Starts,
+    starts: I64,
     tick: Ints,
+    order: Bytes,
+    ends: Ints,
     step: int,
-    table: Floats,
+    table: F64,
     level: Values,
     value: Values,
     valued: bool,
@@ -110,36 +180,21 @@ def walk(
     """Find the contexts of a sweep's levels and intensities, and decode them on the way if asked to.
 
     Args:
-        starts: first return of each ring, ``(L + 1,)``.  tick: ``(M,)``.  table: see :func:`.levels.laser_table`.
+        starts: first return of each ring, ``(L + 1,)``.  tick: ``(M,)``.  order, ends: of :func:`.waves.waves`.  table: see :func:`.levels.laser_table`.
         value: intensities in hundredths, if ``valued``; else levels alone are walked.
 
     Returns:
         whether the words were those of an encoder.
     """
-    size = longest_ring(starts) + 1
-    memory = np.zeros((2, size, levels.COLUMNS))
-    clean = np.zeros(size)
-    errors = levels.errors_without(size)
-    rings = np.flatnonzero(np.diff(starts))
-    x, y = (1, 0), (1, 0)
+    x, y = (1, 1, 0), (1, 1, 0)
     if decoding:
         x, y = begin(level.words), begin(value.words) if valued else y
         if x[0] == 0 or y[0] == 0:
             return False
-    before = above = above2 = 0  # first returns of the three rings before
-    for k in range(len(rings) + 1):
-        laser = rings[min(k, len(rings) - 1)] if len(rings) else 0
-        ring = levels.ring_of(table, laser, step)
-        first = starts[laser] if k < len(rings) else len(tick)
-        span = Span(first, starts[laser + 1] - first if k < len(rings) else 0)
-        earlier = Span(before, first - before if valued else 0)
-        here, there = memory[k % 2], memory[1 - k % 2]
-        if first > before:
-            levels.align(tick, first, span.n, ring, there, first - before, clean, errors)
-        x, y = _walk_rings(
-            decoding, tick, ring, span, here, clean, errors, level, x, earlier, above, above2, value, y
-        )
-        before, above, above2 = first, before, above
+    lasers = np.flatnonzero(np.diff(starts))
+    of_levels, of_values = levels.begin(table, lasers, step), intensities.begin()
+    rings = _before_all(starts[lasers])
+    x, y = _walk(decoding, rings, order, ends, tick, step, of_levels, of_values, level, value, valued, x, y)
     if not decoding:
         return True
-    return ended(x[0], x[1], level.words) and (not valued or ended(y[0], y[1], value.words))
+    return ended(x, level.words) and (not valued or ended(y, value.words))

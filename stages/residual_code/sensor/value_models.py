@@ -54,12 +54,15 @@ class StaticModels:
         return bytes.fromhex(self.tables.digest)[:8]
 
     def encode_levels(self, sweep: Sweep, predicted: Prediction) -> bytes:
-        assert predicted.residual is not None and predicted.level_context is not None
-        return encode_levels(predicted.level_context, predicted.residual, sweep.step, self.tables)
+        assert predicted.order is not None and predicted.residual is not None
+        assert predicted.level_context is not None
+        return encode_levels(
+            predicted.order, predicted.level_context, predicted.residual, sweep.step, self.tables
+        )
 
     def encode_intensity(self, values: Bytes, predicted: Prediction) -> bytes:
-        assert predicted.intensity_context is not None
-        return encode_intensities(predicted.intensity_context, values, self.tables)
+        assert predicted.order is not None and predicted.intensity_context is not None
+        return encode_intensities(predicted.order, predicted.intensity_context, values, self.tables)
 
     def decode(
         self, starts: Starts, tick: Ticks, step: int, before: Before, levels: Bytes, intensities: Bytes | None

@@ -17,6 +17,7 @@ from salpcc.stages.predict.static import coder
 from salpcc.stages.predict.static.count_tables import STEPS, load_tables, save_tables, shipped, table_of
 from salpcc.stages.predict.static.tokens import ESCAPE
 from salpcc.stages.predict.static.train import to_frequencies, train_tables
+from salpcc.stages.predict.static.waves import LAG, waves
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +34,8 @@ def written(sweep: Sweep, step: int, sensor: SensorModel, value: np.ndarray) -> 
     starts = ring_starts(sweep.laser, sensor.n_lasers)
     found = coder.contexts(starts, sweep.tick, sweep.count // step, step, sensor, value)
     return (
-        coder.encode_levels(found.of_levels, found.residual, step, shipped()),
-        coder.encode_intensities(found.of_values, value, shipped()),
+        coder.encode_levels(found.order, found.of_levels, found.residual, step, shipped()),
+        coder.encode_intensities(found.order, found.of_values, value, shipped()),
     )
 
 
@@ -62,7 +63,7 @@ def test_levels_come_back_alone(sweep: Sweep, sensor: SensorModel) -> None:
     """Where intensities are no hundredths; what their contexts are changes nothing of the levels' stream."""
     starts = ring_starts(sweep.laser, sensor.n_lasers)
     found = coder.contexts(starts, sweep.tick, sweep.count, 1, sensor)
-    alone = coder.encode_levels(found.of_levels, found.residual, 1, shipped())
+    alone = coder.encode_levels(found.order, found.of_levels, found.residual, 1, shipped())
     assert alone == written(sweep, 1, sensor, hundredths(sweep))[0]
     level, value, sound = read(sweep, 1, sensor, alone, None)
     assert sound
@@ -82,7 +83,7 @@ def test_any_values_come_back(sweep: Sweep, sensor: SensorModel, largest: int) -
 
 
 def test_rings_that_saw_little_come_back(sweep: Sweep, sensor: SensorModel) -> None:
-    """Levels of one ring and intensities of the one before are walked together: rings of any size, and none at all."""
+    """Rings are walked side by side: of any size, and none at all."""
     rng = np.random.default_rng(2)
     kept = (
         rng.random(len(sweep.tick)) < np.array([0.0, 1.0, 0.01, 0.0, 0.0, 0.5, 1.0, 0.002])[sweep.laser % 8]
@@ -93,6 +94,26 @@ def test_rings_that_saw_little_come_back(sweep: Sweep, sensor: SensorModel) -> N
     assert sound
     np.testing.assert_array_equal(level, few.count)
     np.testing.assert_array_equal(value, some)
+
+
+def test_waves_wait_for_what_they_need(sweep: Sweep, sensor: SensorModel) -> None:
+    """Every return once; before it all of its ring that are before it, and of the ring above all up to LAG ticks ahead."""
+    kept = np.random.default_rng(3).random(len(sweep.tick)) < 0.6
+    laser, tick = sweep.laser[kept], sweep.tick[kept]
+    starts = ring_starts(laser, sensor.n_lasers)
+    order, ends = waves(starts, tick)
+    first = starts[np.flatnonzero(np.diff(starts))]
+    at, begin = first.copy(), 0
+    for end in ends:
+        wave = order[begin:end].astype(int)
+        assert len(wave) and (np.diff(wave) > 0).all()
+        for ring in wave[wave > 0]:
+            left = tick[at[ring - 1] : first[ring]]
+            assert not (left < tick[at[ring]] + LAG).any()
+        at[wave] += 1
+        begin = end
+    assert begin == len(tick) == len(order)
+    np.testing.assert_array_equal(at, np.append(first[1:], len(tick)))
 
 
 def test_surfaces_cost_little(sweep: Sweep, sensor: SensorModel) -> None:
@@ -144,7 +165,9 @@ def test_tables_follow_the_sweeps_they_are_counted_from(
     assert own.digest == load_tables(again).digest != shipped().digest
     starts = ring_starts(sweep.laser, sensor.n_lasers)
     found = coder.contexts(starts, sweep.tick, sweep.count, 1, sensor)
-    sizes = [len(coder.encode_levels(found.of_levels, found.residual, 1, t)) for t in (own, shipped())]
+    sizes = [
+        len(coder.encode_levels(found.order, found.of_levels, found.residual, 1, t)) for t in (own, shipped())
+    ]
     assert sizes[0] < sizes[1]
     with pytest.raises(UsageError, match="no scans to train on"):
         train_tables([], sensor, tmp_path, lambda _: None)
