@@ -4,19 +4,12 @@ A table gives each of C contexts a distribution over A symbols in 1/4096. The st
 ``[2^31, 2^63)``; words of 32 bits enter it as it falls below. The encoder works backwards, from the last
 symbol to the first, and fills its buffer from the end, so that the decoder reads forwards.
 
-A decoder finds the interval of a state by its rank: each slot has a bit, set where an interval begins, and the bits up to
-a slot are counted. No search, no branch: a decoder waits for every symbol, and a wrong guess of what it will be costs
-more than the symbol.
-
 Two states take turns, symbol by symbol, so that a decoder need not wait for one symbol to begin with the next; they share the words.
 A decoder's are ``(x, other, position)`` in the caller's registers, x that of the next symbol. Past the end it reads the last word again; whether the
 words were those of the encoder, :func:`ended` tells: both states are back where the encoder started, and no word is left.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -25,54 +18,7 @@ from numpy.typing import NDArray
 BITS = 12
 TOTAL = 1 << BITS
 LOWEST = 1 << 31
-_WORD = 6  # slots of a word of marks, bits
 Words = NDArray[np.uint32]
-
-
-class Slots(NamedTuple):
-    """What a decoder looks up, of C contexts with A symbols.
-
-    Attributes:
-        marks: ``(C, 64)`` uint64; bit b of word w is set where slot ``64 w + b`` is the first of an interval.
-        ranks: ``(C, 64)`` uint8, intervals that begin before a word.
-        intervals: ``(C, A + 1)`` uint32: of the r-th interval, from 1 on, its symbol, width (12 bits) and start (12 bits).
-    """
-
-    marks: NDArray[np.uint64]
-    ranks: NDArray[np.uint8]
-    intervals: NDArray[np.uint32]
-
-
-@dataclass(frozen=True, eq=False)
-class Symbols:
-    """Distributions of C contexts over A symbols.
-
-    Attributes:
-        start: ``(C, A + 1)`` uint16, cumulative frequencies from 0 to 4096; what an encoder looks up.
-        slots: what a decoder looks up.
-    """
-
-    start: NDArray[np.uint16]
-    slots: Slots
-
-    @classmethod
-    def of(cls, frequency: NDArray[np.uint16]) -> Symbols:
-        """Lay out frequencies ``(C, A)``, each below 4096, A up to 255; they must add up to 4096 in every context."""
-        whole = np.cumsum(frequency, axis=1, dtype=np.int64)
-        if frequency.shape[1] > 255 or not (whole[:, -1] == TOTAL).all():
-            raise ValueError("frequencies do not add up")
-        start = np.zeros((len(frequency), frequency.shape[1] + 1), np.uint16)
-        start[:, 1:] = whole
-        context, symbol = np.nonzero(frequency)
-        first, width = start[context, symbol].astype(np.uint32), frequency[context, symbol].astype(np.uint32)
-        marked = np.zeros((len(frequency), TOTAL), np.bool_)
-        marked[context, first] = True
-        marks = np.packbits(marked, axis=1, bitorder="little").view("<u8").astype(np.uint64)
-        inside = marked.reshape(len(frequency), -1, 1 << _WORD).sum(2)
-        rank = (np.cumsum(frequency > 0, axis=1))[context, symbol]
-        intervals = np.zeros(start.shape, np.uint32)
-        intervals[context, rank] = symbol.astype(np.uint32) << (2 * BITS) | width << BITS | first
-        return cls(start, Slots(marks, (np.cumsum(inside, axis=1) - inside).astype(np.uint8), intervals))
 
 
 @njit(cache=True, inline="always")
@@ -91,25 +37,15 @@ def push(x: int, position: int, words: Words, start: int, width: int, bits: int,
 
 
 @njit(cache=True, inline="always")
-def _ones(word: np.uint64) -> np.uint64:
-    """Count the bits that are set. Compilers know this form, and make one instruction of it where there is one."""
-    word = word - (word >> np.uint64(1) & np.uint64(0x5555555555555555))
-    word = (word & np.uint64(0x3333333333333333)) + (word >> np.uint64(2) & np.uint64(0x3333333333333333))
-    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
+def slot_of(x: int) -> int:
+    """Return the slot, below 4096, whose interval is that of the symbol that the state holds."""
+    return x & (TOTAL - 1)
 
 
 @njit(cache=True, inline="always")
-def pop(x: int, context: int, slots: Slots) -> tuple[int, int]:
-    """Return the symbol of a context that the state holds, and the state without it; raw bits and :func:`refill` follow."""
-    row, state = np.uint64(context), np.uint64(x)
-    slot = state & np.uint64(TOTAL - 1)
-    word = slot >> np.uint64(_WORD)
-    marks = slots.marks[row, word] << (~slot & np.uint64((1 << _WORD) - 1))
-    interval = np.uint64(slots.intervals[row, np.uint64(slots.ranks[row, word]) + _ones(marks)])
-    width = interval >> np.uint64(BITS) & np.uint64(TOTAL - 1)
-    state = width * (state >> np.uint64(BITS)) + slot - (interval & np.uint64(TOTAL - 1))
-    return int(np.int64(interval >> np.uint64(2 * BITS))), int(np.int64(state))
+def pop(x: int, start: int, width: int) -> int:
+    """Return the state without the symbol of the interval that holds its slot; raw bits and :func:`refill` follow."""
+    return width * (x >> BITS) + (x & (TOTAL - 1)) - start
 
 
 @njit(cache=True, inline="always")

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.rans import LOWEST, Slots, Words, finish, push
+from salpcc.stages.entropy.rans import LOWEST, Words, finish, push
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.static.count_tables import StaticTables, table_of
 from salpcc.stages.predict.static.intensities import ESCAPE, PAD, VALUES
@@ -22,7 +22,7 @@ Ints = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
 _NO_WORDS = np.zeros(0, np.uint32)
-_NO_SLOTS = Slots(np.zeros((0, 0), np.uint64), np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.uint32))
+_NO_SYMBOLS = np.zeros((0, 0), np.uint16)
 _NO_BYTES, _NO_SHORTS, _NO_INTS = np.zeros(0, np.uint8), np.zeros(0, np.uint16), np.zeros(0, np.int32)
 
 
@@ -49,8 +49,8 @@ def contexts(
     order, ends = waves(starts, tick)
     n = len(level)
     found = Contexts(np.empty(n, np.uint8), np.empty(n, np.int32), np.empty(len(value), np.uint16), order)
-    levels = Values(_padded(level), found.of_levels, found.residual, _NO_SLOTS, _NO_WORDS)
-    values = Values(_padded(value), found.of_values, _NO_INTS, _NO_SLOTS, _NO_WORDS)
+    levels = Values(_padded(level), found.of_levels, found.residual, _NO_SYMBOLS, _NO_WORDS)
+    values = Values(_padded(value), found.of_values, _NO_INTS, _NO_SYMBOLS, _NO_WORDS)
     walk(False, starts, tick, order, ends, step, laser_table(sensor), levels, values, len(value) > 0)
     return found
 
@@ -112,7 +112,7 @@ def _ends(order: Bytes) -> Starts:
 
 def encode_levels(order: Bytes, context: Bytes, residual: Ints, step: int, tables: StaticTables) -> bytes:
     """Encode what :func:`contexts` gave."""
-    words, start = np.empty(2 * len(context) + 4, np.uint32), tables.level_symbols[table_of(step)].start
+    words, start = np.empty(2 * len(context) + 4, np.uint32), tables.level_symbols[table_of(step)]
     at = _encode_residuals(order, _ends(order), context, residual, start, words)
     return words[at:].astype("<u4", copy=False).tobytes()
 
@@ -122,7 +122,7 @@ def encode_intensities(
 ) -> bytes:
     """Encode intensities 0..100 ``(M,)`` in the contexts that :func:`contexts` gave."""
     words = np.empty(len(context) + 4, np.uint32)
-    at = _encode_values(order, _ends(order), context, value, tables.intensity_symbols.start, words)
+    at = _encode_values(order, _ends(order), context, value, tables.intensity_symbols, words)
     return words[at:].astype("<u4", copy=False).tobytes()
 
 
@@ -143,8 +143,8 @@ def decode(
     words = [stream.view("<u4").astype(np.uint32) for stream in data]
     level, value = np.zeros((2, n + 2 * PAD), np.float32)
     symbols = tables.level_symbols[table_of(step)], tables.intensity_symbols
-    of_levels = Values(level, _NO_BYTES, _NO_INTS, symbols[0].slots, words[0])
-    of_values = Values(value, _NO_SHORTS, _NO_INTS, symbols[1].slots, words[1])
+    of_levels = Values(level, _NO_BYTES, _NO_INTS, symbols[0], words[0])
+    of_values = Values(value, _NO_SHORTS, _NO_INTS, symbols[1], words[1])
     sound = walk(
         True, starts, tick, *waves(starts, tick), step, laser_table(sensor), of_levels, of_values, valued
     )

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SalpccError
-from salpcc.stages.entropy.rans import TOTAL, Symbols
+from salpcc.stages.entropy.rans import TOTAL
 from salpcc.stages.predict.static import intensities, levels
+from salpcc.stages.predict.static.symbols import Starts, starts_of
 from salpcc.stages.predict.static.tokens import TOKENS
 
 WEIGHTS = Path(__file__).parent / "weights"
@@ -48,14 +49,14 @@ class StaticTables:
         return total.hexdigest()
 
     @cached_property
-    def level_symbols(self) -> tuple[Symbols, ...]:
+    def level_symbols(self) -> tuple[Starts, ...]:
         """The tables of residuals, laid out for the coder."""
-        return tuple(Symbols.of(frequency) for frequency in self.levels)
+        return tuple(starts_of(frequency) for frequency in self.levels)
 
     @cached_property
-    def intensity_symbols(self) -> Symbols:
+    def intensity_symbols(self) -> Starts:
         """The tables of intensities, laid out for the coder."""
-        return Symbols.of(self.intensities)
+        return starts_of(self.intensities)
 
 
 def check(tables: StaticTables) -> None:

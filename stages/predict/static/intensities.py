@@ -11,9 +11,10 @@ import numpy as np
 from numba import literal_unroll, njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.rans import Slots, Words, pop, refill
+from salpcc.stages.entropy.rans import Words, refill
 from salpcc.stages.predict.static import levels
 from salpcc.stages.predict.static.columns import LANES, WIDTH, Columns, F, cell, put, renew, take
+from salpcc.stages.predict.static.symbols import Starts, pop_symbol
 from salpcc.stages.predict.vectors import (
     Lanes,
     choose,
@@ -197,9 +198,9 @@ def learn(columns: Columns, of_levels: Columns, first: int, end: int) -> None:
 
 
 @inline
-def get(x: int, position: int, words: Words, context: int, slots: Slots) -> tuple[int, int, int]:
+def get(x: int, position: int, words: Words, context: int, starts: Starts) -> tuple[int, int, int]:
     """Decode a value; returns it (from VALUES on: none), state and position."""
-    found, x = pop(x, context, slots)
+    found, x = pop_symbol(x, context, starts, 2)
     if found == ESCAPE:
         found = x & 127
         x >>= 7

@@ -12,7 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.rans import BITS, Slots, pop, push, refill
+from salpcc.stages.entropy.rans import BITS, push, refill
+from salpcc.stages.predict.static.symbols import Starts, pop_symbol
+from salpcc.stages.predict.vectors import inline
 
 ESCAPE = 64
 TOKENS = 65
@@ -61,10 +63,12 @@ def put(
     return push(x, position, words, low, (1 << BITS) - low, _HIGH, z >> _LOW)
 
 
-@njit(cache=True, inline="always")
-def get(x: int, position: int, words: NDArray[np.uint32], context: int, slots: Slots) -> tuple[int, int, int]:
+@inline
+def get(
+    x: int, position: int, words: NDArray[np.uint32], context: int, starts: Starts
+) -> tuple[int, int, int]:
     """Decode a residual; returns it, state and position. Inverse of :func:`put`."""
-    token, x = pop(x, context, slots)
+    token, x = pop_symbol(x, context, starts, 1)
     if token == ESCAPE:
         z = x & ((1 << _HIGH) - 1)
         x, position = refill(x >> _HIGH, position, words)

@@ -11,10 +11,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.rans import Slots, Words, begin, ended
+from salpcc.stages.entropy.rans import Words, begin, ended
 from salpcc.stages.predict.static import intensities, levels
 from salpcc.stages.predict.static.columns import LANES, Columns, F, cell
 from salpcc.stages.predict.static.intensities import PAD
+from salpcc.stages.predict.static.symbols import Starts
 from salpcc.stages.predict.static.tokens import get
 from salpcc.stages.predict.vectors import inline, kernel
 
@@ -34,13 +35,13 @@ class Values(NamedTuple):
         value: ``(PAD + M + PAD,)`` whole numbers, read by the encoder, filled by the decoder.
         context: ``(M,)``; the encoder fills it.
         residual: int32 ``(M,)``, of levels; the encoder fills it.
-        slots, words: the tables of symbols, and what the decoder reads.
+        symbols, words: where the intervals of symbols begin, and what the decoder reads.
     """
 
     value: F32
     context: Bytes | NDArray[np.uint16]
     residual: Ints
-    slots: Slots
+    symbols: Starts
     words: Words
 
 
@@ -104,7 +105,7 @@ def _code_levels(decoding, rings, wave, of_levels, level, x):  # type: ignore[no
         at = np.uint64(i + PAD)
         context, guessed = levels.context_of(of_levels, r), np.int64(of_levels[cell(levels.LEVEL, r)])
         if decoding:
-            change, x, position = get(x, position, level.words, context, level.slots)
+            change, x, position = get(x, position, level.words, context, level.symbols)
             x, other = other, x
             level.value[at] = F(min(max(guessed + change, 0), levels.MAX_LEVEL))
         else:
@@ -123,7 +124,7 @@ def _code_values(decoding, rings, wave, of_values, value, x):  # type: ignore[no
         at = np.uint64(i + PAD)
         context = intensities.context_of(of_values, r)
         if decoding:
-            found, x, position = intensities.get(x, position, value.words, context, value.slots)
+            found, x, position = intensities.get(x, position, value.words, context, value.symbols)
             x, other = other, x
             value.value[at] = F(found)
         else:

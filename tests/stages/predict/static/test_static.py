@@ -15,9 +15,11 @@ from salpcc.stages.lattice.sweep import scan_to_sweep
 from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.predict.static import coder
 from salpcc.stages.predict.static.count_tables import STEPS, load_tables, save_tables, shipped, table_of
+from salpcc.stages.predict.static.symbols import pop_symbol, starts_of
 from salpcc.stages.predict.static.tokens import ESCAPE
 from salpcc.stages.predict.static.train import to_frequencies, train_tables
 from salpcc.stages.predict.static.waves import LAG, waves
+from salpcc.stages.predict.vectors import kernel
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +183,25 @@ def test_frequencies_add_up_and_leave_the_rare_to_the_escape() -> None:
     assert (frequency.sum(1) == 4096).all()
     assert (frequency[:, ESCAPE] >= 1).all()
     assert frequency[0, 1] == 0
+
+
+def test_a_symbol_is_found_by_its_slot() -> None:
+    """Also next to symbols that never occur; the beginnings of every context are those that an encoder looks up."""
+    frequency = np.zeros((2, 102), np.uint16)
+    frequency[0, [0, 63, 64, 65, 101]] = 1, 4000, 5, 80, 10
+    frequency[1, 100:] = 4095, 1
+    starts = starts_of(frequency)
+    expected = np.array([np.repeat(np.arange(102), row) for row in frequency])
+    for context in range(2):
+        found = [_popped(slot | 1 << 31, context, starts)[0] for slot in range(4096)]
+        np.testing.assert_array_equal(found, expected[context])
+    with pytest.raises(ValueError, match="add up"):
+        starts_of(frequency[:, :3])
+
+
+@kernel
+def _popped(x, context, starts):
+    return pop_symbol(x, context, starts, 2)
 
 
 def test_every_step_has_a_table() -> None:
