@@ -28,6 +28,7 @@ from salpcc.stages.strays.aimed.aimed_strays import (
     count_off,
     number_of,
     read_body,
+    share_on_lattice,
     write_body,
 )
 from salpcc.stages.strays.aimed.aimed_stream import Aimed, Way
@@ -49,7 +50,7 @@ _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
 _FEWEST = 500  # points that lanes which are told are worth it for
 _HOPELESS = 8  # bytes a point
-_NO_DOUBT = 0.98  # of the points on the lattice; with fewer, rays are tried, too
+_NO_DOUBT = 0.98  # of the returns on the lattice; with fewer, rays are tried, too
 
 
 def ray_step(max_error: float) -> float:
@@ -115,8 +116,8 @@ class Plan:
 
     @property
     def share(self) -> float:
-        """Of the points, those on the lattice of the sensor."""
-        return 0.0 if self.chosen is None else float((self.chosen[1].kinds != OFF).mean())
+        """Of the returns, those on the lattice of the sensor."""
+        return 0.0 if self.chosen is None else share_on_lattice(self.chosen[1].kinds)
 
 
 def plan(

@@ -38,7 +38,7 @@ MOST_POINTS = 1 << 22
 OFF_LASER = 255
 _BODY = struct.Struct("<BIII")
 _FEWEST = 500
-_LEAST_SHARE = 0.5  # of the points that must lie on the lattice
+_LEAST_SHARE = 0.5  # of the returns that must lie on the lattice
 _TRIED = 1 << 13  # points
 _LARGEST_STEP = 1 << 16
 _SHUFFLED = 8  # of the form
@@ -81,7 +81,7 @@ def choose(
     way = Way(layouts[0], form, per, exact, step_of(0.0 if exact else max_error, sensor), moved, s, clock)
     reach = EXACT_REACH if exact else (0.0 if settled else max_error)
     aimed = put(points, sensor, way, reach)
-    if (aimed.kinds != OFF).mean() < _LEAST_SHARE:
+    if share_on_lattice(aimed.kinds) < _LEAST_SHARE:
         return None
     if moved is None or s is not None:
         layouts = likely_layouts(points, lanes=True)
@@ -92,9 +92,15 @@ def choose(
         way = min(ways, key=lambda w: _tried(aimed, points, sensor, w))
     if not exact and not settled:
         aimed = settle(aimed, points, sensor, way, max_error)
-        if (aimed.kinds != OFF).mean() < _LEAST_SHARE:  # they would not be found there again
+        if share_on_lattice(aimed.kinds) < _LEAST_SHARE:  # they would not be found there again
             return None
     return replace(way, learned=learned, shuffled=learned is not None and is_shuffled(aimed, sensor)), aimed
+
+
+def share_on_lattice(kinds: Array) -> float:
+    """Share of the returns among points of these kinds ``(S,)`` that lie on the lattice; 1 without a return."""
+    off, on = int((kinds == OFF).sum()), int((kinds == AIMED).sum())
+    return 1.0 - off / max(off + on, 1)
 
 
 def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
