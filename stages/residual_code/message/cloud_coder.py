@@ -24,13 +24,11 @@ from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import unpacked
 from salpcc.stages.strays.timeline import Timeline
 
-_WHOLE, _ROS1, _CHANNEL, _LOOSE = (
-    1,
-    2,
-    4,
-    8,
-)  # the last: of a movable layer, the loose bytes of the whole message
+_WHOLE, _ROS1, _CHANNEL = 1, 2, 4
+_LOOSE = 8  # of a movable layer, the loose bytes of the whole message
+_DIM = 16  # intensities of points without a return
 _NUMBERS = struct.Struct("<qI")
+_DIM_FIELD = "/dim"  # no field of a message is called so
 _ID = struct.Struct("<H")
 _SECTION = struct.Struct("<BIIIII")  # flags, lengths of topic, head, tail, their code, the loose bytes
 
@@ -42,6 +40,7 @@ def encode_cloud(
     before: bytearray,
     known: Points,
     modes: FieldModes,
+    dim: NDArray[np.float32] | None = None,
 ) -> tuple[bytes, Cloud]:
     """Encode what a cloud adds to the decoded points ``(N, 3)`` of a scan.
 
@@ -50,6 +49,7 @@ def encode_cloud(
         before: the envelope of the scan before; becomes that of this scan.
         known: of these points, by :func:`points_of`.
         modes: of the fields of the group's scans.
+        dim: intensities ``(N,)`` of points without a return, 0 of the others; None where they are not told here.
 
     Returns:
         the section, and the cloud as it will be decoded.
@@ -61,7 +61,7 @@ def encode_cloud(
     loose = encode_bytes(cloud.loose, bytearray())
     layout = cloud.layout
     flags = cloud.whole * _WHOLE + (cloud.encoding == ROS1) * _ROS1 + (cloud.channel > 0) * _CHANNEL
-    flags |= (bool(cloud.loose) and not cloud.whole) * _LOOSE
+    flags |= (bool(cloud.loose) and not cloud.whole) * _LOOSE | (dim is not None) * _DIM
     parts = [
         _SECTION.pack(flags, len(topic), len(cloud.head), len(cloud.tail), len(code), len(loose)),
         code,
@@ -75,6 +75,8 @@ def encode_cloud(
         else:
             parts.append(modes.encode((cloud.topic, field.name), values, known, base))
         columns.append(values)
+    if dim is not None:
+        parts.append(modes.encode((cloud.topic, _DIM_FIELD), dim, known))
     return b"".join(parts), replace(cloud, rest=_rest(layout, columns, len(points)))
 
 
@@ -87,8 +89,8 @@ def decode_cloud(
     modes: FieldModes,
     sensor: SensorModel | None = None,
     timeline: Timeline | None = None,
-) -> Cloud:
-    """Inverse of :func:`encode_cloud`.
+) -> tuple[Cloud, NDArray[np.float32] | None]:
+    """Inverse of :func:`encode_cloud`: the cloud, and ``dim``.
 
     Args:
         n_points: points of the source scan, dropped ones included.
@@ -99,7 +101,7 @@ def decode_cloud(
     (flags, n_topic, n_head, n_tail, n_code, n_loose), at = unpacked(_SECTION, section, 0)
     at += n_code + n_loose
     n_id = _ID.size if flags & _CHANNEL else 0
-    require_sound(flags <= 15, n_topic + n_head + n_tail <= MAX_ENVELOPE, at <= len(section))
+    require_sound(flags <= 31, n_topic + n_head + n_tail <= MAX_ENVELOPE, at <= len(section))
     code = section[_SECTION.size : _SECTION.size + n_code]
     envelope = decode_bytes(code, _NUMBERS.size + n_topic + n_head + n_tail + n_id, before)
     delay, sequence = _NUMBERS.unpack_from(envelope)
@@ -137,8 +139,11 @@ def decode_cloud(
         else:
             values, at = modes.decode((cloud.topic, field.name), section, at, field.dtype, known, base)
         columns.append(values)
+    dim = None
+    if flags & _DIM:
+        dim, at = modes.decode((cloud.topic, _DIM_FIELD), section, at, np.dtype(np.float32), known)
     require_sound(at == len(section))
-    return replace(cloud, rest=_rest(layout, columns, len(points)))
+    return replace(cloud, rest=_rest(layout, columns, len(points))), dim
 
 
 def points_of(

@@ -24,7 +24,6 @@ from salpcc.stages.entropy.range_coder import (
 )
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
 from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
-from salpcc.stages.lattice.aim import aim
 from salpcc.stages.lattice.sensor_model import SensorModel
 
 _ROUNDS = 6
@@ -37,6 +36,7 @@ _HOPELESS = 1.5  # of the bits a point that are to be beaten, in a trial
 _COUNTED = 8  # times as far apart as there are
 _STEPS = 6  # of the clock from firing to firing that are remembered
 
+F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
@@ -65,9 +65,8 @@ class Fired:
 ON_LATTICE = 0.01  # metres; with an error allowed points are half a level off
 
 
-def fired_by(sensor: SensorModel, points: NDArray[np.float32]) -> Fired:
-    """Put decoded points ``(N, 3)`` on the lattice of their sensor."""
-    laser, tick, _, off = aim(sensor, points.astype(np.float64))
+def fired_by(sensor: SensorModel, laser: I64, tick: I64, count: I64, off: F64) -> Fired:
+    """Return when and by which lasers points ``(N,)`` were measured, from what :func:`~salpcc.stages.lattice.aim.aim` says of them."""
     lasers = np.where((laser >= 0) & (off < ON_LATTICE), laser, sensor.n_lasers)
     return Fired(lasers, tick, np.append(sensor.shift, 0), sensor.ticks_per_turn)
 

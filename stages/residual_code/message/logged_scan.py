@@ -24,6 +24,7 @@ from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.strays.timeline import Timeline
 
 _REFLECTIVITY = "reflectivity"
+_FEW = 20  # of so many points one: a record of its own would take more than it tells
 _INTENSITY = "/intensity"  # no field of a message is called so
 
 
@@ -42,12 +43,22 @@ def known_of(sweep: Sweep, sensor: SensorModel, timeline: Timeline | None = None
 
 
 def encode_intensity(sweep: Sweep, known: tuple[Scan, Points], modes: FieldModes) -> bytes:
-    """Encode float32 intensities as a field; nothing where they are in the cloud anyway."""
+    """Encode float32 intensities of returns as a field; nothing where they are in the cloud anyway."""
     assert sweep.cloud is not None
     if sweep.cloud.layout.slots[3] is None:
         return b""
     scan, points = known
-    return modes.encode((sweep.cloud.topic, _INTENSITY), scan.intensity, _guided(points, sweep.cloud))
+    values = scan.intensity if _dim(known) is None else np.where(points.void, np.float32(0), scan.intensity)
+    return modes.encode((sweep.cloud.topic, _INTENSITY), values, _guided(points, sweep.cloud))
+
+
+def _dim(known: tuple[Scan, Points]) -> NDArray[np.float32] | None:
+    """Intensities ``(N,)`` of points without a return, 0 of the others; None where few are other than 0."""
+    scan, points = known
+    lit = points.void & (scan.intensity.view(np.int32) != 0)
+    if _FEW * np.count_nonzero(lit) <= len(lit):
+        return None
+    return np.where(points.void, scan.intensity, np.float32(0))
 
 
 def _guided(points: Points, cloud: Cloud) -> Points:
@@ -57,12 +68,17 @@ def _guided(points: Points, cloud: Cloud) -> Points:
 
 
 def encode_logged(
-    sweep: Sweep, known: tuple[Scan, Points], before: bytearray, modes: FieldModes
+    sweep: Sweep, known: tuple[Scan, Points], before: bytearray, modes: FieldModes, with_dim: bool
 ) -> tuple[bytes, Sweep]:
-    """Encode the cloud of a sweep; return the stream, and the sweep as it will be decoded."""
+    """Encode the cloud of a sweep; return the stream, and the sweep as it will be decoded.
+
+    Args:
+        with_dim: intensities are coded by :func:`encode_intensity`, those of points without a return here.
+    """
     assert sweep.cloud is not None
     scan, points = known
-    stream, cloud = encode_cloud(sweep.cloud, scan.points, sweep.max_error == 0, before, points, modes)
+    dim = _dim(known) if with_dim else None
+    stream, cloud = encode_cloud(sweep.cloud, scan.points, sweep.max_error == 0, before, points, modes, dim)
     return stream, replace(sweep, cloud=cloud)
 
 
@@ -84,10 +100,12 @@ def decode_logged(
         ArchiveError: a stream is damaged.
     """
     points = sweep_to_scan(sweep, sensor).points
-    cloud = decode_cloud(
+    cloud, dim = decode_cloud(
         stream, sweep.n_points, points, sweep.max_error == 0, before, modes, sensor, timeline
     )
     sweep = replace(sweep, cloud=cloud)
+    in_slot = intensity is not None and cloud.layout.slots[3] is not None
+    require_sound(dim is None or in_slot)
     if intensity is None:
         return sweep
     if cloud.layout.slots[3] is None:
@@ -97,6 +115,7 @@ def decode_logged(
         name = (cloud.topic, _INTENSITY)
         values, end = modes.decode(name, intensity, 0, np.dtype(np.float32), known)
         require_sound(end == len(intensity))
+        values = values if dim is None else np.where(known.void, dim, values)
     on, off = source_places(sweep, sensor)
     strays = np.column_stack([sweep.stray_points[:, :3], values[off]])
     return replace(sweep, intensity=values[on], stray_points=strays)

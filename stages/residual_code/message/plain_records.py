@@ -28,7 +28,8 @@ from salpcc.stages.residual_code.message.records import RESIDUALS, SYMBOLS, Inte
 _RECORD = struct.Struct("<BBBBBII")  # a _Head, length
 _SAMPLE = 1 << 16
 _FEWEST = 500  # values of a field of decimals for which others are tried
-# What integers are measured against; the last two: by the driver.
+_BESIDE_AXIS = 100.0  # millimetres that ranges are from distances, where beams start beside the axis
+# What integers are measured against; the last two: by the sensor.
 _PLAIN, _DISTANCE, _RANGE, _AZIMUTH = range(4)
 
 
@@ -111,7 +112,7 @@ def decode_plain(
         and head.form <= (DECIMAL if kind.kind == "f" else BITS)
         and head.scale < len(SCALES)
         and head.based <= _AZIMUTH
-        and (head.based <= _DISTANCE or (head.form == ORDERED and points.measured is not None))
+        and (head.based <= _DISTANCE or _is_known(head, points))
         and head.void < 2
         and head.predictor < PREDICTORS
         and head.period in points.periods
@@ -133,6 +134,13 @@ def decode_plain(
     return from_bits(order(integers, width) if head.form == ORDERED else integers, kind), start + length
 
 
+def _is_known(head: _Head, points: Points) -> bool:
+    """Tell whether there is what a record says that its integers are measured against, by the sensor."""
+    if head.form == BITS:
+        return head.based == _RANGE and points.counted is not None
+    return head.form == ORDERED and points.measured is not None
+
+
 def _forms(values: Values, points: Points, base: Values | None) -> list[tuple[int, int, int, Integers]]:
     """Return (form, scale, based, integers) to choose from."""
     kind, width = values.dtype, 8 * values.dtype.itemsize
@@ -141,6 +149,8 @@ def _forms(values: Values, points: Points, base: Values | None) -> list[tuple[in
         forms = [(BITS, 0, _PLAIN, bits)]
         if width >= 16:
             forms.append((BITS, 0, _DISTANCE, bits - _base(kind, BITS, points, base)))
+            if np.abs(forms[-1][3]).mean() < _BESIDE_AXIS and points.counted is not None:
+                forms.append((BITS, 0, _RANGE, bits - _base(kind, BITS, points, base, _RANGE)))
         return forms
     ordered = order(bits, width)
     if base is not None:
@@ -160,9 +170,10 @@ def _forms(values: Values, points: Points, base: Values | None) -> list[tuple[in
 def _base(
     kind: np.dtype[Any], form: int, points: Points, base: Values | None, what: int = _DISTANCE
 ) -> Integers:
-    """What a field is measured against: what was given, else the distance, in mm where it is an integer, or range or azimuth by the driver."""
+    """What a field is measured against: what was given, else the distance, in mm where it is an integer, or range or azimuth by the sensor."""
     if form == BITS:
-        return np.rint(points.ranges * 1000.0).astype(np.int64)
+        ranges = points.ranges if what == _DISTANCE or points.counted is None else points.counted
+        return np.rint(ranges * 1000.0).astype(np.int64)
     near = points.ranges.astype(kind) if base is None else base
     if what > _DISTANCE and points.measured is not None:
         near = points.measured[what - _RANGE].astype(kind)

@@ -20,6 +20,8 @@ from salpcc.stages.strays.timeline import LASERS, Passed, Timeline
 LISTED, FIRED, ROWS, GUIDED = range(4)
 SKY = ROWS + GUIDED + 1
 _FAR = 200.0  # metres
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 _CLOSE = 0.002  # metres from the lattice
 
 
@@ -70,14 +72,27 @@ class Points:
         if self.timeline is not None:
             laser = self.timeline.laser.astype(np.int64)
             return Fired(laser, np.zeros_like(laser), np.zeros(LASERS + 1, np.int64), 1)
-        return None if self.sensor is None else fired_by(self.sensor, self.xyz)
+        return None if self.sensor is None else fired_by(self.sensor, *self._aimed)
+
+    @cached_property
+    def _aimed(self) -> tuple[I64, I64, I64, F64]:
+        assert self.sensor is not None
+        return aim(self.sensor, self.xyz.astype(np.float64))
+
+    @cached_property
+    def counted(self) -> F64 | None:
+        """Ranges ``(N,)`` in metres by the counts of points, distances of those without a place; None without a sensor."""
+        if self.sensor is None:
+            return None
+        _, _, count, off = self._aimed
+        return np.where(off < ON_LATTICE, count * self.sensor.count, self.ranges)
 
     @cached_property
     def measured(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
         """Ranges and azimuths ``(N,)`` by the driver of the sensor, distance and 0 of points without a place; None where no such driver is known."""
         if self.sensor is None or self.sensor.driver is None or self.sensor.driver.formula not in TURNING:
             return None
-        laser, tick, count, off = aim(self.sensor, self.xyz.astype(np.float64))
+        laser, tick, count, off = self._aimed
         on = off < ON_LATTICE
         found = measured(self.sensor.driver, self.sensor.count, laser[on], tick[on], count[on])
         both = self.ranges.astype(np.float32), np.zeros(len(on), np.float32)

@@ -254,8 +254,13 @@ def _encode_cloud(scan: Encoding) -> bytes:
     if scan.sweep.cloud is None:
         return b""
     scan.flags |= CLOUD
+    in_slot = scan.sweep.cloud.layout.slots[3] is not None
     stream, listed = logged_scan.encode_logged(
-        scan.listed, scan.logged, scan.state.envelope, scan.state.fields
+        scan.listed,
+        scan.logged,
+        scan.state.envelope,
+        scan.state.fields,
+        scan.intensity_is_field and in_slot,
     )
     scan.sweep = replace(scan.sweep, cloud=listed.cloud)
     return stream

@@ -90,6 +90,21 @@ def test_distances_and_azimuths_are_those_of_the_driver(formula: str | None) -> 
             decode_field(record, 0, distance.dtype, Points.of(xyz, 0, None))
 
 
+def test_ranges_are_counts_where_beams_start_beside_the_axis() -> None:
+    rng = np.random.default_rng(5)
+    levers = replace(sensor(), h=np.full(LASERS, 0.02), d0=np.linspace(-0.03, 0.03, LASERS))
+    laser, tick = np.tile(ORDER, FIRINGS).astype(np.uint8), np.repeat(np.arange(FIRINGS) * 20, LASERS)
+    count = rng.integers(300, 20_000, len(laser))
+    xyz = unproject(levers, laser, tick.astype(np.int32), count).astype(np.float32)
+    xyz[::100] = 0
+    millimetres = np.where(xyz.any(axis=1), 2 * count, 0).astype(np.uint32)
+    record = coded(millimetres, Points.of(xyz, 0, levers))
+    assert 8 * len(record) < 0.1 * len(millimetres)
+    assert len(record) < 0.2 * len(coded(millimetres, Points.of(xyz, 0, sensor())))
+    with pytest.raises(ArchiveError):
+        decode_field(record, 0, millimetres.dtype, Points.of(xyz, 0, None))
+
+
 def test_rings_cost_nothing(listed) -> None:
     points, laser, _ = listed
     for ring in (laser.astype(np.uint16), (2 * (15 - laser) + 100).astype(np.uint8)):

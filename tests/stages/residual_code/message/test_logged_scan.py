@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from salpcc.schemas.cloud_layout import LayoutError
+from salpcc.schemas.config import Effort
 from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.log import LogMessage
+from salpcc.schemas.messages import CloudMessage
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import sweeps_to_table, table_to_sweeps
 from salpcc.stages.ingest.point_cloud import message_to_scan, scan_columns, scan_to_message
@@ -216,6 +218,24 @@ def test_damaged_messages_are_refused_or_come_back_as_they_are(
         except LayoutError:
             continue
         assert scan_to_message(scan) == damaged
+
+
+@pytest.mark.parametrize("effort", ["fast", "default"])
+def test_light_without_a_return_is_none_of_the_intensities(effort: Effort) -> None:
+    rng = np.random.default_rng(3)
+    points = np.zeros((16, 128, 4), np.float32)
+    seen = rng.random((16, 128)) < 0.5
+    points[..., :3] = rng.uniform(1, 9, (16, 128, 3)) * seen[..., None]
+    points[..., 3] = np.where(seen, 50, rng.integers(0, 256, (16, 128)))
+    for axis in (points, points[:1]):  # also of few points
+        height, width = axis.shape[:2]
+        cloud = CloudMessage(7, "lidar", width, axis.tobytes(), None, False, height)
+        sweep = scan_to_sweep(scan_of(cloud.to_cdr(), "cdr"), SENSOR)
+        (payload,) = encode_gop([sweep], SENSOR, effort)
+        (decoded,) = decode_gop([payload.data], SENSOR)
+        assert scan_to_message(sweep_to_scan(decoded, SENSOR)) == cloud.to_cdr()
+        noise = (~seen[: len(axis)]).sum()
+        assert payload.sizes["intensity"] < 60 and payload.sizes["side"] > 0.9 * noise
 
 
 def test_sizes_are_checked_before_anything_is_allocated() -> None:
