@@ -15,8 +15,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.lattice import NO_CORRECTION, corrections, digits_of
-from salpcc.stages.lattice.untwist import BLOCK, forward, on_lattice
+from salpcc.schemas.sweep import Sweep
+from salpcc.stages.lattice.lattice import (
+    NO_CORRECTION,
+    corrections,
+    digits_of,
+    laser_constants,
+    model_point,
+)
+from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.trig import TWO_PI, arctan2, turn_tables
+from salpcc.stages.lattice.untwist import BLOCK, forward, moved, on_lattice
 
 Column = NDArray[np.float64]
 
@@ -86,13 +95,68 @@ def _published(given: Rounded) -> NDArray[np.float32]:
     return points
 
 
-def published_points(given: Rounded, ulp: NDArray[np.uint8] | None = None) -> NDArray[np.float32]:
-    """Return the points ``(M, 3)`` as published: compensated, rounded to float32, their last bits corrected."""
+def published_points(given: Rounded) -> NDArray[np.float32]:
+    """Return the points ``(M, 3)`` compensated and rounded to float32, their last bits not corrected."""
     points: NDArray[np.float32] = _published(given)
-    if ulp is not None:
-        patched = np.flatnonzero(ulp != NO_CORRECTION)
-        points[patched] = from_ordered_bits(ordered_bits(points[patched]) + corrections(ulp[patched]))
     return points
+
+
+def _patched(points: NDArray[np.float32], ulp: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Correct the last bits of points ``(M, 3)`` in place."""
+    wrong = np.flatnonzero(ulp != NO_CORRECTION)
+    points[wrong] = from_ordered_bits(ordered_bits(points[wrong]) + corrections(ulp[wrong]))
+    return points
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _told(  # type: ignore[no-untyped-def]
+    parameters, count_size, turn, laser, tick, count, step, exact, millimetre, motion, moving
+) -> tuple[NDArray[np.float32], Column]:
+    """Points and azimuths of returns in one pass, block by block: what :mod:`.lattice`, :mod:`.order` and this module say of them, in turn."""
+    sines, cosines = turn
+    ticks = len(sines)
+    constants = laser_constants(parameters)
+    m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
+    n = len(laser)
+    points, keys = np.empty((n, 3), np.float32), np.empty(n)
+    block = np.empty((4, BLOCK))
+    x, y, z, s = block[0], block[1], block[2], block[3]
+    for start in range(0, n, BLOCK):
+        size = min(BLOCK, n - start)
+        for i in range(size):
+            k = laser[start + i]
+            middle = np.float64(count[start + i]) * step + (step - 1) / 2
+            x[i], y[i], z[i] = model_point(
+                tick[start + i] % ticks, middle, parameters[k], constants[k], count_size, sines, cosines
+            )
+        for i in range(size):
+            s[i] = arctan2(y[i], x[i])
+        for i in range(size):
+            keys[start + i] = s[i] + TWO_PI if s[i] < 0.0 else s[i]
+        if exact:
+            for i in range(size):
+                a, b, c = digits_of(np.int64(millimetre[start + i]))
+                x[i], y[i], z[i] = on_lattice(x[i], a), on_lattice(y[i], b), on_lattice(z[i], c)
+            if moving:
+                for i in range(size):
+                    x[i], y[i], z[i] = forward(x[i], y[i], z[i], m)
+        elif moving:
+            for i in range(size):
+                x[i], y[i], z[i] = moved(x[i], y[i], z[i], s[i] / TWO_PI, m)
+        for i in range(size):
+            points[start + i, 0], points[start + i, 1], points[start + i, 2] = x[i], y[i], z[i]
+    return points, keys
+
+
+def points_and_keys(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32], Column]:
+    """Return the points ``(M, 3)`` of a sweep's returns in firing order, as published or within its error, and their :func:`~.order.azimuth_key` ``(M,)``."""
+    exact = sweep.max_error == 0
+    motion = np.zeros(6) if sweep.motion is None else sweep.motion
+    points, keys = _told(
+        sensor.parameters, sensor.count, turn_tables(sensor.ticks_per_turn), sweep.laser, sweep.tick, sweep.count,
+        sweep.step, exact, sweep.millimetre, motion, sweep.motion is not None,
+    )  # fmt: skip
+    return (_patched(points, sweep.ulp) if exact else points), keys
 
 
 @njit(cache=True, error_model="numpy", _nrt=False, inline="always")

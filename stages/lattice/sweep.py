@@ -23,9 +23,9 @@ from salpcc.stages.lattice.list_motion import find_motion
 from salpcc.stages.lattice.measure import measure
 from salpcc.stages.lattice.motion_search import is_raw, solve_motion
 from salpcc.stages.lattice.order import azimuth_keys, file_order, in_order
-from salpcc.stages.lattice.publish import published_points, rounded
+from salpcc.stages.lattice.publish import points_and_keys
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.lattice.untwist import returns, twist, untwist
+from salpcc.stages.lattice.untwist import returns, untwist
 
 Places = tuple[NDArray[np.int64], NDArray[np.int64]]  # in the file, of returns and of strays
 
@@ -143,12 +143,8 @@ def scan_to_sweep(
 
 def return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return the points ``(M, 3)`` of the returns in firing order, and their order in the file."""
-    model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(sweep))
-    order = file_order(sweep.laser, azimuth_keys(model))
-    if sweep.max_error > 0:
-        points = model if sweep.motion is None else twist(model, sweep.motion)
-        return points.astype(np.float32), order
-    return published_points(rounded(model, sweep.millimetre, sweep.motion), sweep.ulp), order
+    points, keys = points_and_keys(sweep, sensor)
+    return points, file_order(sweep.laser, keys)
 
 
 def middle_counts(sweep: Sweep) -> NDArray[np.float64]:
@@ -176,32 +172,43 @@ def _arranged(
     points: NDArray[np.float32],
     intensity: NDArray[np.float32],
     order: NDArray[np.int64],
-    places: NDArray[np.int64],
-    n: int,
+    stray_index: NDArray[np.int64],
+    stray_points: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Put points ``(M, 3)`` and intensities ``(M,)`` in their order on their places of ``n``."""
+    """Put points ``(M, 3)`` and intensities ``(M,)`` in their order on the places that the strays ``(S, 4)`` leave."""
+    n = len(order) + len(stray_index)
     put, values = np.empty((n, 3), np.float32), np.empty(n, np.float32)
-    for i in range(len(order)):
-        source, place = order[i], places[i]
-        for c in range(3):
-            put[place, c] = points[source, c]
-        values[place] = intensity[source]
+    stray = 0
+    for place in range(n):
+        if stray < len(stray_index) and stray_index[stray] == place:
+            for c in range(3):
+                put[place, c] = stray_points[stray, c]
+            values[place] = stray_points[stray, 3]
+            stray += 1
+        else:
+            source = order[place - stray]
+            for c in range(3):
+                put[place, c] = points[source, c]
+            values[place] = intensity[source]
     return put, values
 
 
 def sweep_to_scan(sweep: Sweep, sensor: SensorModel) -> Scan:
     """Return the scan of a sweep in file order: exact, or within its ``max_error``."""
-    on, off = return_places(sweep), sweep.stray_index
     returned, order = return_points(sweep, sensor)
-    points, intensity = _arranged(returned, sweep.intensity, order, on, len(sweep))
-    points[off] = sweep.stray_points[:, :3]
-    intensity[off] = sweep.stray_points[:, 3]
+    points, intensity = _arranged(
+        returned,
+        sweep.intensity,
+        order,
+        sweep.stray_index,
+        np.ascontiguousarray(sweep.stray_points, np.float32),
+    )
 
     def listed(of_returns: NDArray[_T] | None, of_strays: NDArray[_T] | None) -> NDArray[_T] | None:
         if of_returns is None or of_strays is None:
             return None
         values = np.empty(len(sweep), of_returns.dtype)
-        values[on], values[off] = of_returns[order], of_strays
+        values[return_places(sweep)], values[sweep.stray_index] = of_returns[order], of_strays
         return values
 
     # That of a sweep without returns is by place in the list, which a scan's is not.

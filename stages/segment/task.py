@@ -15,19 +15,18 @@ from numpy.typing import NDArray
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import coordinate_rounding
 from salpcc.stages.lattice.aim import lies_on
-from salpcc.stages.lattice.lattice import NO_CORRECTION, unproject
+from salpcc.stages.lattice.lattice import NO_CORRECTION
 from salpcc.stages.lattice.layers import placed, return_keys
-from salpcc.stages.lattice.order import azimuth_keys, in_order
+from salpcc.stages.lattice.order import in_order
+from salpcc.stages.lattice.publish import points_and_keys
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import (
     Places,
-    middle_counts,
     return_places,
     return_points,
     source_places,
     sweep_to_scan,
 )
-from salpcc.stages.lattice.untwist import twist
 from salpcc.stages.strays.stray_coder import snap
 
 _T = TypeVar("_T", bound=np.generic)
@@ -200,9 +199,7 @@ def quantise(
     if not exact:
         step = counts_per_level(max_error, sensor.count)
         coarse = replace(sweep, step=step, max_error=max_error, count=(sweep.count // step).astype(np.int32))
-    model = unproject(sensor, sweep.laser, sweep.tick, middle_counts(coarse))
-    points = (model if sweep.motion is None else twist(model, sweep.motion)).astype(np.float32)
-    keys = azimuth_keys(model)
+    points, keys = points_and_keys(coarse, sensor)
     fits = np.ones(len(source), np.bool_) if exact else _distances(points, source) <= max_error
     if gaps is not None:
         fits &= (gaps[0] < keys) & (keys < gaps[1])

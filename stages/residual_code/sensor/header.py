@@ -60,12 +60,12 @@ def content_crc(sweep: Sweep) -> int:
         (sweep.lead, "<i8"),
     ):
         if array is not None:
-            crc = zlib.crc32(np.ascontiguousarray(array, dtype=kind).tobytes(), crc)
+            crc = zlib.crc32(np.ascontiguousarray(array, dtype=kind).data, crc)
     if sweep.cloud is not None:
         cloud = sweep.cloud
         crc = zlib.crc32(_CLOUD.pack(cloud.delay, cloud.sequence, cloud.whole), crc)
         parts = [cloud.topic.encode(), cloud.encoding.encode(), cloud.head, cloud.tail, cloud.loose]
         for part in [*parts, *([cloud.channel.to_bytes(2, "little")] if cloud.channel else ())]:
             crc = zlib.crc32(part, crc)
-        crc = zlib.crc32(np.ascontiguousarray(cloud.rest).tobytes(), crc)
+        crc = zlib.crc32(np.ascontiguousarray(cloud.rest).data, crc)
     return crc

@@ -204,7 +204,7 @@ def _decode_intensity(scan: Decoding, stream: bytes) -> None:
         floats, sound = decode_values(n, as_array(stream))
         require_sound(sound)
     else:
-        floats = INTENSITY_OF_LEVEL[scan.hundredths]
+        floats = INTENSITY_OF_LEVEL.take(scan.hundredths)
     scan.sweep = replace(sweep, intensity=floats)
 
 

@@ -8,7 +8,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from salpcc.schemas.scan import Scan
-from salpcc.stages.lattice.sweep import scan_to_sweep, sweep_to_scan
+from salpcc.stages.lattice.lattice import unproject
+from salpcc.stages.lattice.order import azimuth_keys
+from salpcc.stages.lattice.publish import points_and_keys, published_points, rounded
+from salpcc.stages.lattice.sweep import middle_counts, scan_to_sweep, sweep_to_scan
+from salpcc.stages.lattice.untwist import twist
 
 
 def same_bits(a: Scan, b: Scan) -> bool:
@@ -75,6 +79,22 @@ def test_any_mixture_comes_back(make_scan, sensor, kinds, seed) -> None:
     for kind in sorted(kinds):
         scan = _spoil(scan, kind, rng)
     assert same_bits(sweep_to_scan(scan_to_sweep(scan, sensor), sensor), scan)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_points_and_keys_in_one_pass_are_those_of_each_step(make_scan, sensor, moving) -> None:
+    sweep = scan_to_sweep(make_scan(stride=16) if moving else make_scan(stride=16, motion=None), sensor)
+    plain = replace(sweep, ulp=np.full_like(sweep.ulp, 13))
+    coarse = replace(sweep, step=7, max_error=0.01, count=sweep.count // 7)
+    for case in (plain, coarse):
+        points, keys = points_and_keys(case, sensor)
+        model = unproject(sensor, case.laser, case.tick, middle_counts(case))
+        np.testing.assert_array_equal(keys, azimuth_keys(model))
+        if case is plain:
+            expected = published_points(rounded(model, case.millimetre, case.motion))
+        else:
+            expected = (twist(model, case.motion) if moving else model).astype(np.float32)
+        np.testing.assert_array_equal(points, expected)
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 10, 300])
