@@ -154,24 +154,19 @@ def test_decompression_bombs_are_refused(compression: str, claimed: int, tmp_pat
     assert int(after) - int(before) < 700_000  # kB
 
 
-def test_an_archive_whose_names_lead_out_decodes_nowhere(tmp_path: Path) -> None:
-    """Names are checked where an archive is opened, checksums mended; so no export sees them."""
+@pytest.mark.parametrize("name", ["../../", "/tmp/x", "a/../b"])
+def test_an_archive_whose_names_lead_out_decodes_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Names are checked where an archive is opened; so no export sees them."""
     from salpcc.pipeline import Archive, Scan, encode_scans
+    from salpcc.stages.residual_code.archive import writer
 
+    honest = writer.pack_document
+    monkeypatch.setattr(
+        writer, "pack_document", lambda said: honest(json.loads(json.dumps(said).replace("000000", name)))
+    )
     scan = Scan("000000", np.zeros((5, 3), np.float32), np.zeros(5, np.float32))
-    data = encode_scans([scan], tmp_path / "a.mcap", effort="fast").read_bytes()
-    for name in (b"../../", b"/tmp/x", b"a/../b"):
-        odd = data.replace(b'"000000"', b'"' + name + b'"')
-        assert odd != data
-        (tmp_path / "odd.mcap").write_bytes(mended(odd))
-        with pytest.raises(SalpccError, match="cannot name a file"):
-            Archive(tmp_path / "odd.mcap")
-
-
-def mended(data: bytes) -> bytes:
-    """Put all checksums right again."""
-    sys.path.insert(0, str(FUZZ))
-    from mutate import records_of, sealed  # type: ignore[import-not-found]
-
-    result: bytes = sealed(data, records_of(data))
-    return result
+    encode_scans([scan], tmp_path / "odd.mcap", effort="fast")
+    with pytest.raises(SalpccError, match="cannot name a file"):
+        Archive(tmp_path / "odd.mcap")
