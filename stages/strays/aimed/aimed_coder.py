@@ -5,8 +5,9 @@ has a *kind*: on the lattice (AIMED), no return (ZERO, NAN), or OFF it; points o
 
 * The laser is told from the one at the same place of the firing before (``left`` points back; 0: from the point before).
 * The tick goes on as the firing's other ticks, or as those before, did.
-* The count is guessed in 1/d from the same laser's last two points and from the nearest in azimuth of the lasers next to it
-  in elevation, as far as the list has come there.
+* The count is guessed in 1/d from the same laser's last point, from the line along its surface, and from the surfaces seen by the
+  lasers next to it in elevation, as far as the list has come there. Surfaces go on from first returns; a second one is guessed from the
+  first, and from the laser's last second one.
 
 With an error allowed that is all; else each coordinate is told from the model's as whole units (``per`` a metre, 0: float32 bits).
 The decoder repeats all of this, hence only ``+ - * /`` and square roots on float64, in a fixed order.
@@ -24,9 +25,12 @@ from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
 from salpcc.stages.strays.aimed.aimed_neighbours import (
+    GUESSES,
+    SURFACE,
     above_and_below,
     around,
     guess_inverse,
+    learn_surface,
     link,
     link_beside,
     short_way,
@@ -36,7 +40,6 @@ from salpcc.stages.strays.aimed.aimed_symbols import (
     CLASSES,
     NAN,
     OFF,
-    PREDICTORS,
     ZERO,
     code_kind,
     code_laser,
@@ -57,8 +60,9 @@ class Room(NamedTuple):
         hop: ticks from a point of one laser to the next of another ``(L, L)``; 1 << 30: unknown.
         links: of the same laser, point before, point after ``(S, 2)``; ``ends``: of each laser, first and last point so far ``(L, 2)``;
             ``cursor``: where the neighbours above and below were last found ``(L, 2)``.
-        azimuth, inverse: ticks, 1/d ``(S,)``; ``beside``: guesses from above and below, as they were ``(S, 2)``.
-        errors: of guesses ``(S, PREDICTORS)``; ``sizes``: of misses of the count and the corrections ``(S, 4)``; ``guess``: of one point.
+        second_of: of each laser, its last second return ``(L,)``.
+        azimuth, inverse: ticks, 1/d ``(S,)``; ``beside``: 1/d of the surfaces above and below ``(S, 2)``; ``surface``: that of each point ``(S, SURFACE)``.
+        errors: of guesses ``(S, GUESSES)``; ``sizes``: of misses of the count and the corrections ``(S, 4)``; ``guess``: of one point.
         drift: of each laser, and of what is no return, last misfit in metres ``(L + 1, 3)``.
     """
 
@@ -69,9 +73,11 @@ class Room(NamedTuple):
     links: NDArray[np.int64]
     ends: NDArray[np.int64]
     cursor: NDArray[np.int64]
+    second_of: NDArray[np.int64]
     azimuth: NDArray[np.float64]
     inverse: NDArray[np.float64]
     beside: NDArray[np.float64]
+    surface: NDArray[np.float64]
     errors: NDArray[np.uint16]
     sizes: NDArray[np.uint8]
     guess: NDArray[np.float64]
@@ -89,12 +95,14 @@ def new_room(n: int, left: int, lasers: int) -> Room:
         np.full((n, 2), -1),
         np.full((lasers, 2), -1),
         np.full((lasers, 2), -1),
+        np.full(lasers, -1),
         np.zeros(n),
         np.zeros(n),
         np.zeros((n, 2)),
-        np.zeros((n, PREDICTORS), np.uint16),
+        np.zeros((n, SURFACE)),
+        np.zeros((n, GUESSES), np.uint16),
         np.zeros((n, 4), np.uint8),
-        np.zeros(PREDICTORS),
+        np.zeros(GUESSES),
         np.zeros((lasers + 1, 3)),
     )
 
@@ -148,9 +156,11 @@ def code_aimed(  # type: ignore[no-untyped-def]
         links,
         ends,
         cursor,
+        second_of,
         azimuth,
         inverse,
         beside,
+        surface,
         errors,
         sizes,
         guess,
@@ -245,14 +255,13 @@ def code_aimed(  # type: ignore[no-untyped-def]
             # The count.
             azimuth[i] = tick[i] + phase[k]
             place = ends[k, 1]
-            second, least, way = links[place, 0] if place >= 0 else -1, 0.0, -1
+            way = -1
             if learned is not None and learned.shuffled and place >= 0:
-                place, second, way = around(azimuth[i], place, ticks, azimuth, links)
-                least = -1.0
-            upper = above_and_below(i, k, above[k], 0, ticks, azimuth, inverse, links, ends, cursor, beside)
-            lower = above_and_below(i, k, below[k], 1, ticks, azimuth, inverse, links, ends, cursor, beside)
+                place, way = around(azimuth[i], place, ticks, azimuth, links)
+            upper = above_and_below(i, k, above[k], 0, ticks, azimuth, surface, links, ends, cursor, beside)
+            lower = above_and_below(i, k, below[k], 1, ticks, azimuth, surface, links, ends, cursor, beside)
             r, spread, apart = guess_inverse(
-                i, place, second, least, upper, lower, ticks, azimuth, inverse, beside, errors, guess
+                i, place, second_of[k], upper, lower, ticks, azimuth, inverse, surface, beside, errors, guess
             )
             unit = count_size * step
             d0 = parameters[k, 4]
@@ -280,9 +289,12 @@ def code_aimed(  # type: ignore[no-untyped-def]
             )
             d = max(count * count_size + d0, 1e-3)
             inverse[i] = 1.0 / d
-            for p in range(PREDICTORS):
+            learn_surface(i, place, ticks, azimuth, inverse, 1.0 / r, surface, beside)
+            for p in range(GUESSES):
                 errors[i, p] = np.uint16(min(abs(guess[p] * d - 1.0), 1.0) * 65535.0)
-            if way >= 0:
+            if place >= 0 and azimuth[place] == azimuth[i]:
+                second_of[k] = i
+            elif way >= 0:
                 link_beside(i, k, place, way, links, ends)
             else:
                 link(i, k, links, ends)

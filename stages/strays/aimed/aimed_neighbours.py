@@ -1,4 +1,8 @@
-"""What :mod:`.aimed_coder` foretells a distance from: points of the same laser and of those next to it in elevation."""
+"""What :mod:`.aimed_coder` foretells a distance from: points of the same laser and of those next to it in elevation.
+
+Most bits are spent on the noise of ranges, so a guess is a running mean where that is possible: of the line along a laser's surface, of the
+surface without its noise, and of how far the surfaces above and below are off. A mean that is far off starts anew: a surface ended there.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+# Guesses of 1/d: that of the laser's last point; the line along its surface; the surfaces above and below, as far off as they lately were; its last second return.
+SAME, TREND, ABOVE, BELOW, SECOND = range(5)
+GUESSES = 5
+# What is known of the surface at a point: 1/d without its noise; 1/d and slope of the running line; how far the surfaces above and below are off, and whether that is known.
+CLEAN, LEVEL, SLOPE, OFFSET, FOLLOWED = 0, 1, 2, 3, 5
+SURFACE = 7
+
 _STEPS = 64  # that a cursor goes at a time; hostile azimuths must not send it round and round
 _NEAR = 0.02  # turns; points farther apart in azimuth are not interpolated between
+_EDGE = 16.0  # nor are those of which one is an eighth farther away
+_FAR_GAP = 0.003  # turns; a laser's points farther apart are not of one surface
+_NO_GAP = 1e-9  # turns; points nearer to each other tell nothing of a slope
+_SURFACE = 0.09  # metres; a point so far off does not belong to the running means
+_TORN = 9.0  # square of how far off, in these, a surface has ended
+_LEAST_TURN, _MOST_TURN = 0.6, 1.7  # of the last 1/d, what a guess may be
+_OFFSET_RATE, _LEVEL_RATE, _SLOPE_RATE, _DENOISE = 0.12, 0.4, 0.2, 0.55
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
@@ -25,21 +43,15 @@ def link(i: int, k: int, links: NDArray[np.int64], ends: NDArray[np.int64]) -> N
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def around(here: float, last: int, ticks: int, azimuth: NDArray[np.float64], links: NDArray[np.int64]):  # type: ignore[no-untyped-def]
-    """Of the points of a laser, whose rings are in the order of azimuths, find the one nearest to ``here``, and where a new one goes.
-
-    Returns:
-        the nearest; its neighbour beyond ``here``, or else the one on this side; the way (0, 1) from the nearest on which a point here goes.
-    """
+    """Of the points of a laser, whose rings are in the order of azimuths, find the one nearest to ``here``, and the way (0, 1) from it on which a new one there goes."""
     at, off = _nearest_from(here, last, ticks, azimuth, links)
     for way in (1, 0):
         beyond = _apart(here, azimuth[links[at, way]], ticks)
         if off * beyond < 0.0 and abs(beyond) < _NEAR * ticks:
-            return at, links[at, way], way
-    gap = np.int64(
-        abs(_apart(azimuth[at], azimuth[links[at, 1]], ticks))
-        >= abs(_apart(azimuth[at], azimuth[links[at, 0]], ticks))
-    )
-    return at, links[at, 1 - gap], gap
+            return at, way
+    after = abs(_apart(azimuth[at], azimuth[links[at, 1]], ticks))
+    before = abs(_apart(azimuth[at], azimuth[links[at, 0]], ticks))
+    return at, np.int64(after >= before)
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
@@ -110,20 +122,22 @@ def nearest_of(here, other, cursor, k, side, ticks, azimuth, links, ends):  # ty
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
-def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cursor, beside):  # type: ignore[no-untyped-def]
+def above_and_below(i, k, other, side, ticks, azimuth, surface, links, ends, cursor, beside):  # type: ignore[no-untyped-def]
     """Find the point of laser ``other`` (-1: none) nearest in azimuth to point i of laser k; -1 where it has none yet.
 
-    ``beside[i, side]`` becomes its 1/d, interpolated to the azimuth of i where points lie on both sides; 0 without.
+    ``beside[i, side]`` becomes the 1/d of the surface there, interpolated to the azimuth of i where points of one surface lie on both sides; 0 without.
     """
     beside[i, side] = 0.0
     if other < 0 or ends[other, 1] < 0:
         return -1
     at, off = nearest_of(azimuth[i], other, cursor, k, side, ticks, azimuth, links, ends)
-    value = inverse[at]
+    value = surface[at, CLEAN]
     for way in (1, 0):
         beyond = _apart(azimuth[i], azimuth[links[at, way]], ticks)
         if off * beyond < 0.0 and abs(beyond) < _NEAR * ticks:
-            value += (inverse[links[at, way]] - value) * (off / (off - beyond))
+            there = surface[links[at, way], CLEAN]
+            if abs(there - value) * _EDGE < there + value:
+                value += (there - value) * (off / (off - beyond))
             break
     beside[i, side] = value
     return at
@@ -131,45 +145,33 @@ def above_and_below(i, k, other, side, ticks, azimuth, inverse, links, ends, cur
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def guess_inverse(  # type: ignore[no-untyped-def]
-    i, place, before, least, upper, lower, ticks, azimuth, inverse, beside, errors, guess
+    i, place, second, upper, lower, ticks, azimuth, inverse, surface, beside, errors, guess
 ):  # fmt: skip
     """Fill the guesses of 1/d of point i; return the distance they make together, how far it may be off, and how far apart they are.
 
     Args:
-        place: the last point of the same laser, or the nearest; ``before``: the one before that, or beyond. From the two it goes straight on, by more than ``least`` of
-            the way between them: 0, or -1 where it may be between them.
-        upper, lower: the nearest of the laser's neighbours; -1: none.
+        place: the last point of the same laser, or the nearest.
+        second: the last second return of the laser.
+        upper, lower: the nearest of the laser's neighbours.  -1: none, of all four.
     """
+    near = 0.1
     if place >= 0:
         near = inverse[place]
     elif upper >= 0:
         near = beside[i, 0]
     elif lower >= 0:
         near = beside[i, 1]
-    else:
-        near = 0.1
     guess[:] = near
     if place >= 0:
-        went = _apart(azimuth[place], azimuth[before], ticks)
+        least, most = _LEAST_TURN * near, _MOST_TURN * near
         goes = _apart(azimuth[i], azimuth[place], ticks)
-        ratio = goes / went if went != 0.0 else 0.0
-        if least < ratio < 2.5:
-            guess[1] = near + (near - inverse[before]) * ratio
-    for side in range(2):
-        value = beside[i, side]
-        if (upper if side == 0 else lower) < 0:
-            continue
-        guess[2 + 2 * side] = value
-        if place >= 0 and beside[place, side] > 0.0:
-            guess[3 + 2 * side] = near + value - beside[place, side]
-    if upper >= 0 and lower >= 0:
-        guess[6] = 0.5 * (beside[i, 0] + beside[i, 1])
-    elif upper >= 0:
-        guess[6] = 0.5 * (near + beside[i, 0])
-    elif lower >= 0:
-        guess[6] = 0.5 * (near + beside[i, 1])
-    # The plane through the neighbours, but never beyond them (LOCO-I).
-    guess[7] = max(min(guess[0], guess[2]), min(max(guess[0], guess[2]), guess[3]))
+        guess[TREND] = min(max(surface[place, LEVEL] + surface[place, SLOPE] * goes, least), most)
+        for side in range(2):
+            if beside[i, side] > 0.0 and surface[place, FOLLOWED + side] > 0.0:
+                there = beside[i, side] + surface[place, OFFSET + side]
+                guess[ABOVE + side] = min(max(there, least), most)
+    if second >= 0 and abs(_apart(azimuth[i], azimuth[second], ticks)) < _FAR_GAP * ticks:
+        guess[SECOND] = inverse[second]
     total = mean = spread = 0.0
     low, high = 10.0, 1.0 / 1000.0
     for p in range(len(guess)):
@@ -183,3 +185,32 @@ def guess_inverse(  # type: ignore[no-untyped-def]
         spread += weight * error
     r = total / mean
     return r, spread / total * r, (high - low) * r * r
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def learn_surface(i, place, ticks, azimuth, inverse, expected, surface, beside):  # type: ignore[no-untyped-def]
+    """Fill the row of point i, whose 1/d was ``expected`` to be so much, after that of ``place`` of the same laser (-1: none)."""
+    w = inverse[i]
+    per_surface = 1.0 / (w * w * _SURFACE)
+    off = (w - expected) * per_surface
+    surface[i, CLEAN] = w + _DENOISE * max(1.0 - off * off, 0.0) * (expected - w)
+    gap = _apart(azimuth[i], azimuth[place], ticks) if place >= 0 else np.float64(ticks)
+    joined = abs(gap) < _FAR_GAP * ticks
+    for side in range(2):
+        offset = surface[place, OFFSET + side] if joined else 0.0
+        followed = surface[place, FOLLOWED + side] if joined else 0.0
+        if beside[i, side] > 0.0:
+            drift = w - beside[i, side] - offset
+            off = drift * per_surface
+            offset += (min(_OFFSET_RATE + off * off, 1.0) if followed > 0.0 else 1.0) * drift
+            followed = 1.0
+        surface[i, OFFSET + side], surface[i, FOLLOWED + side] = offset, followed
+    surface[i, LEVEL], surface[i, SLOPE] = w, 0.0
+    if joined and abs(gap) > _NO_GAP * ticks:
+        ahead = surface[place, LEVEL] + surface[place, SLOPE] * gap
+        drift = w - ahead
+        off = drift * per_surface
+        off *= off
+        surface[i, LEVEL] = ahead + min(_LEVEL_RATE + off, 1.0) * drift
+        if off < _TORN:
+            surface[i, SLOPE] = surface[place, SLOPE] + _SLOPE_RATE * drift / gap

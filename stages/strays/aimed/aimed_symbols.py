@@ -12,7 +12,6 @@ from salpcc.stages.entropy.walks import code_mixed_bit
 from salpcc.stages.strays.rays.ray_forms import SPREADS
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
-PREDICTORS = 8
 CLASSES = SIZES // 2 + 1  # as contexts
 
 Bits = NDArray[np.uint16]

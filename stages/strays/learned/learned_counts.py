@@ -26,19 +26,20 @@ from salpcc.stages.entropy.mixed_numbers import (
 )
 from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import Buffer, State
-from salpcc.stages.strays.aimed.aimed_neighbours import mean_error, nearest_of
+from salpcc.stages.strays.aimed.aimed_neighbours import GUESSES, SAME, SECOND, mean_error, nearest_of
 from salpcc.stages.strays.learned.moved_sweep import Turn
 from salpcc.stages.strays.timeline import LASERS
 
 SIZES, SPREADS, SIGNED = 16, 12, 9
 CONTEXTS = (SPREADS * SIZES, SPREADS * SIGNED * SIGNED, SPREADS * SIGNED * SIGNED, LASERS)
 FIRST = first_places(CONTEXTS)
-TOOK = np.array([0, 1, 2, 4])  # of the guesses of 1/d: same, straight on, above, below
+_FIRST, _AGAIN, _LIKE_LAST, _LIKE_SECOND = range(4)  # what a laser's last point was
+_SETS = 8  # of weights and trust: that of the point before, and whether this is a second return
 _SWEEPS, _BEFORE = 2, 2  # the sweep before as it was, and as it is seen now; guesses by each
-_OWN = len(TOOK) + 2  # other guesses
+_OWN = GUESSES + 2  # other guesses
 _MOST = _OWN + _SWEEPS * _BEFORE
 _NEAR, _NEAR_MOVED = 0.0005, 0.001  # turns; what was farther off in the sweep before says nothing
-WIDER, LEAST, _LEAST_BEFORE = 0.3, 0.25, 0.4  # widths: of how far off a guess was, and at least, in levels
+WIDER, LEAST, _LEAST_BEFORE = 0.3, 0.5, 0.4  # widths: of how far off a guess was, and at least, in levels
 _UNKNOWN = 0.02  # of the distance
 
 I64 = NDArray[np.int64]
@@ -46,7 +47,7 @@ F64 = NDArray[np.float64]
 
 
 class CountModels(NamedTuple):
-    """What outlives a sweep: contexts, and the trust in guesses, of first returns and of others at the same tick ``(2, guesses)``."""
+    """What outlives a sweep: contexts, and the trust in guesses ``(8, guesses)``."""
 
     numbers: Numbers
     trust: F64
@@ -57,6 +58,8 @@ class CountSeen(NamedTuple):
 
     Attributes:
         before, seen: the sweep before as it was, and as it is seen now, if that is known; ``cursor (256, 2)`` goes along with them.
+        last (256,): of each laser, whether its last point was a first return, one more at the same tick, or, where both were about, at the distance of the
+            laser's last point, or of its last second return: some drivers write every pair of returns twice.
         was: of each point ``(n, 2)`` 1/d in these, 0 where that says nothing; ``there (n,)`` its place in the list before, as it is seen now, -1: none;
             ``off (n, 4)`` how far off the guesses by them were.
         missed, sizes: of each point, how far off the centre it was in spreads, and the size of that in levels.
@@ -65,6 +68,7 @@ class CountSeen(NamedTuple):
     before: Turn
     seen: Turn
     cursor: I64
+    last: I64
     was: F64
     there: I64
     off: NDArray[np.float32]
@@ -78,7 +82,7 @@ class CountSeen(NamedTuple):
 def new_count_models() -> CountModels:
     """Return fresh models."""
     return CountModels(
-        new_numbers(int(FIRST[-1]), 2 * SPREADS, len(CONTEXTS)), np.ones((2, _MOST), np.float64)
+        new_numbers(int(FIRST[-1]), _SETS * SPREADS, len(CONTEXTS)), np.ones((_SETS, _MOST), np.float64)
     )
 
 
@@ -88,6 +92,7 @@ def no_counts(n: int, before: Turn, seen: Turn) -> CountSeen:
         before,
         seen,
         np.full((LASERS, _SWEEPS), -1),
+        np.zeros(LASERS, np.int64),
         np.zeros((n, _SWEEPS)),
         np.full(n, -1),
         np.zeros((n, _SWEEPS * _BEFORE), np.float32),
@@ -202,17 +207,18 @@ def code_count(  # type: ignore[no-untyped-def]
     r, spread, apart = told
     d0, unit, middle = scale
     guesses, places, trust, was = seen.guesses, seen.places, models.trust, seen.was
-    of = np.int64(place >= 0 and azimuth[place] == azimuth[i])
+    again = np.int64(place >= 0 and azimuth[place] == azimuth[i])
+    of = again * (_SETS // 2) + seen.last[k]
     together = (r - d0) / unit - middle
     spread /= unit
     apart /= unit
     n, total = 0, 0.0
-    for p in TOOK:
+    for p in range(GUESSES):  # one that is not known is the last point's, and has no say of its own
         off = mean_error(errors, p, place, upper, lower)
         d = 1.0 / guess[p]
         guesses.mean[n] = (d - d0) / unit - middle
         guesses.per[n] = 1.0 / (off * d / unit * WIDER + LEAST)
-        guesses.weight[n] = 1.0 / (off * off)
+        guesses.weight[n] = 1.0 / (off * off) if n == 0 or guess[p] != guess[SAME] else 0.0
         total += guesses.weight[n]
         n += 1
     for j in range(n):
@@ -244,7 +250,7 @@ def code_count(  # type: ignore[no-untyped-def]
     size = np.int64(seen.sizes[place]) if place >= 0 else SIZES - 1
     wide = bucket_by(spread, 0.5, 1.6, SPREADS)
     grain = 1.0 / (spread + 0.5)
-    of_place = signed_bucket((guesses.mean[0] - centre) * grain)
+    of_place = signed_bucket((guesses.mean[SAME] - centre) * grain)
     best = was[i, 1] if was[i, 1] > 0.0 else was[i, 0]
     of_before = signed_bucket(((1.0 / best - d0) / unit - middle - centre) * grain) if best > 0.0 else 4
     missed = signed_bucket(seen.missed[place]) if place >= 0 else 4
@@ -265,6 +271,12 @@ def code_count(  # type: ignore[no-untyped-def]
     )
     found = min(max(found, 0), most)
     learn_trust(found, guesses, n, trust, of)
+    seen.last[k] = _AGAIN if again else _FIRST
+    if guess[SECOND] != guess[SAME]:
+        if found == np.int64(np.floor(guesses.mean[SAME] + 0.5)):
+            seen.last[k] = _LIKE_LAST
+        elif found == np.int64(np.floor(guesses.mean[SECOND] + 0.5)):
+            seen.last[k] = _LIKE_SECOND
     seen.missed[i] = (found - centre) * grain
     seen.sizes[i] = min(size_of(abs(found - np.int64(np.floor(centre + 0.5)))), SIZES - 1)
     d = max((found + middle) * unit + d0, 1e-3)

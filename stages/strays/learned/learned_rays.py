@@ -25,7 +25,7 @@ from salpcc.stages.entropy.mixed_numbers import (
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
 from salpcc.stages.lattice.trig import TWO_PI
-from salpcc.stages.strays.aimed.aimed_neighbours import mean_error, nearest_of
+from salpcc.stages.strays.aimed.aimed_neighbours import GUESSES, SAME, mean_error, nearest_of
 from salpcc.stages.strays.learned.learned_counts import (
     CONTEXTS,
     FIRST,
@@ -33,7 +33,6 @@ from salpcc.stages.strays.learned.learned_counts import (
     SIGNED,
     SIZES,
     SPREADS,
-    TOOK,
     WIDER,
     bucket_by,
     fill_places,
@@ -49,7 +48,7 @@ from salpcc.stages.strays.timeline import LASERS
 # Contexts of the other coordinates: widths, and where between two whole numbers.
 _WIDTHS, _LOOSE, _PARTS, _HALVES = 16, 16, 8, 4
 _BEFORE = 2  # guesses by the sweep before
-_MOST = len(TOOK) + _BEFORE
+_MOST = GUESSES + _BEFORE
 _NEAR = 0.001  # turns; what was farther off says nothing
 _UP = 2e-5  # radians that elevations are off
 _STRAYS = 3e-5  # radians that a sensor's turning strays from point to point
@@ -156,12 +155,12 @@ def code_reach(  # type: ignore[no-untyped-def]
     spread *= per_metre
     apart *= per_metre
     n, total = 0, 0.0
-    for p in TOOK:
+    for p in range(GUESSES):
         wide = mean_error(errors, p, place, upper, lower)
         far = 1.0 / guess[p]
         guesses.mean[n] = _scaled(o + far * d, form, per)
         guesses.per[n] = 1.0 / (wide * far * per_metre * WIDER + LEAST)
-        guesses.weight[n] = 1.0 / (wide * wide)
+        guesses.weight[n] = 1.0 / (wide * wide) if n == 0 or guess[p] != guess[SAME] else 0.0
         total += guesses.weight[n]
         n += 1
     for j in range(n):

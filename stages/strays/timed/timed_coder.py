@@ -14,8 +14,14 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number, size_of
 from salpcc.stages.lattice.trig import TWO_PI, arctan2
-from salpcc.stages.strays.aimed.aimed_neighbours import above_and_below, guess_inverse, link
-from salpcc.stages.strays.aimed.aimed_symbols import PREDICTORS
+from salpcc.stages.strays.aimed.aimed_neighbours import (
+    GUESSES,
+    SURFACE,
+    above_and_below,
+    guess_inverse,
+    learn_surface,
+    link,
+)
 from salpcc.stages.strays.learned.learned_rays import code_learned_ray, learn_ray
 from salpcc.stages.strays.rays.ray_forms import (
     GRID,
@@ -68,11 +74,12 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
     of_spread, of_sizes, of_grain, of_across = models
     n = len(points)
     links, ends = np.full((n, 2), -1), np.full((len(lasers), 2), -1)
-    cursor = np.full((len(lasers), 2), -1)
+    cursor, second_of = np.full((len(lasers), 2), -1), np.full(len(lasers), -1)
     inverse, azimuth = np.zeros(n), np.zeros(n)
-    beside, errors = np.zeros((n, 2)), np.zeros((n, PREDICTORS), np.uint16)
+    surface = np.zeros((n, SURFACE))
+    beside, errors = np.zeros((n, 2)), np.zeros((n, GUESSES), np.uint16)
     sizes = np.zeros((n, 3), np.uint8)
-    guess, turned, numbers = np.zeros(PREDICTORS), np.zeros(len(sensors)), np.zeros(3, np.int64)
+    guess, turned, numbers = np.zeros(GUESSES), np.zeros(len(sensors)), np.zeros(3, np.int64)
     recent = 0
     for i in range(n):
         k = np.int64(laser[i])
@@ -83,22 +90,23 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
         o, d, turning = ray_at(lasers, sensors, motion, k, g, time[i], strayed)
         azimuth[i] = arctan2(d[1], d[0])
         place = ends[k, 1]
-        upper = above_and_below(i, k, above[k], 0, TWO_PI, azimuth, inverse, links, ends, cursor, beside)
-        lower = above_and_below(i, k, below[k], 1, TWO_PI, azimuth, inverse, links, ends, cursor, beside)
+        upper = above_and_below(i, k, above[k], 0, TWO_PI, azimuth, surface, links, ends, cursor, beside)
+        lower = above_and_below(i, k, below[k], 1, TWO_PI, azimuth, surface, links, ends, cursor, beside)
         r, spread, apart = guess_inverse(
             i,
             place,
-            links[place, 0] if place >= 0 else -1,
-            0.0,
+            second_of[k],
             upper,
             lower,
             TWO_PI,
             azimuth,
             inverse,
+            surface,
             beside,
             errors,
             guess,
         )
+        expected = 1.0 / r
         axis = 0
         if abs(d[1]) > abs(d[0]):
             axis = 1
@@ -153,7 +161,11 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
         else:
             turned[g] += learn_ray(learned, i, k, g, place, points[i], turning, r, aside, form, per, inverse)
         inverse[i] = 1.0 / r
-        for p in range(PREDICTORS):
+        learn_surface(i, place, TWO_PI, azimuth, inverse, expected, surface, beside)
+        for p in range(GUESSES):
             errors[i, p] = np.uint16(min(abs(guess[p] * r - 1.0), 1.0) * 65535.0)
-        link(i, k, links, ends)
+        if place < 0 or time[place] != time[i]:
+            link(i, k, links, ends)
+        else:
+            second_of[k] = i
         recent = i
