@@ -30,7 +30,7 @@ from salpcc.stages.strays.aimed.aimed_neighbours import (
     above_and_below,
     around,
     guess_inverse,
-    learn_surface,
+    learn_distance,
     link,
     link_beside,
     short_way,
@@ -288,10 +288,9 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 driver, tick[i], count, k, parameters, constants, count_size, sines, cosines
             )
             d = max(count * count_size + d0, 1e-3)
-            inverse[i] = 1.0 / d
-            learn_surface(i, place, ticks, azimuth, inverse, 1.0 / r, surface, beside)
-            for p in range(GUESSES):
-                errors[i, p] = np.uint16(min(abs(guess[p] * d - 1.0), 1.0) * 65535.0)
+            learn_distance(
+                i, place, d, 1.0 / r, ticks, azimuth, inverse, surface, beside, errors, guess
+            )  # fmt: skip
             if place >= 0 and azimuth[place] == azimuth[i]:
                 second_of[k] = i
             elif way >= 0:

@@ -188,8 +188,19 @@ def guess_inverse(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def learn_surface(i, place, ticks, azimuth, inverse, expected, surface, beside):  # type: ignore[no-untyped-def]
-    """Fill the row of point i, whose 1/d was ``expected`` to be so much, after that of ``place`` of the same laser (-1: none)."""
+def weight_of(guess: NDArray[np.float64], p: int, error: float) -> float:
+    """What guess p counts that may be off by the share ``error``; nothing if it is not known, and so that of the last point."""
+    return 1.0 / (error * error) if p == SAME or guess[p] != guess[SAME] else 0.0
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def learn_distance(  # type: ignore[no-untyped-def]
+    i, place, d, expected, ticks, azimuth, inverse, surface, beside, errors, guess
+):  # fmt: skip
+    """Take note that point i, after ``place`` of the same laser (-1: none), is at the distance ``d``, where 1/d was ``expected``, and of how far its guesses were off."""
+    inverse[i] = 1.0 / d
+    for p in range(len(guess)):
+        errors[i, p] = np.uint16(min(abs(guess[p] * d - 1.0), 1.0) * 65535.0)
     w = inverse[i]
     per_surface = 1.0 / (w * w * _SURFACE)
     off = (w - expected) * per_surface

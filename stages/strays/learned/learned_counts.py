@@ -26,7 +26,14 @@ from salpcc.stages.entropy.mixed_numbers import (
 )
 from salpcc.stages.entropy.residual_bits import size_of
 from salpcc.stages.entropy.walks import Buffer, State
-from salpcc.stages.strays.aimed.aimed_neighbours import GUESSES, SAME, SECOND, mean_error, nearest_of
+from salpcc.stages.strays.aimed.aimed_neighbours import (
+    GUESSES,
+    SAME,
+    SECOND,
+    mean_error,
+    nearest_of,
+    weight_of,
+)
 from salpcc.stages.strays.learned.moved_sweep import Turn
 from salpcc.stages.strays.timeline import LASERS
 
@@ -213,12 +220,12 @@ def code_count(  # type: ignore[no-untyped-def]
     spread /= unit
     apart /= unit
     n, total = 0, 0.0
-    for p in range(GUESSES):  # one that is not known is the last point's, and has no say of its own
+    for p in range(GUESSES):
         off = mean_error(errors, p, place, upper, lower)
         d = 1.0 / guess[p]
         guesses.mean[n] = (d - d0) / unit - middle
         guesses.per[n] = 1.0 / (off * d / unit * WIDER + LEAST)
-        guesses.weight[n] = 1.0 / (off * off) if n == 0 or guess[p] != guess[SAME] else 0.0
+        guesses.weight[n] = weight_of(guess, p, off)
         total += guesses.weight[n]
         n += 1
     for j in range(n):

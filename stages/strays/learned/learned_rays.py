@@ -25,7 +25,7 @@ from salpcc.stages.entropy.mixed_numbers import (
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
 from salpcc.stages.lattice.trig import TWO_PI
-from salpcc.stages.strays.aimed.aimed_neighbours import GUESSES, SAME, mean_error, nearest_of
+from salpcc.stages.strays.aimed.aimed_neighbours import GUESSES, mean_error, nearest_of, weight_of
 from salpcc.stages.strays.learned.learned_counts import (
     CONTEXTS,
     FIRST,
@@ -160,7 +160,7 @@ def code_reach(  # type: ignore[no-untyped-def]
         far = 1.0 / guess[p]
         guesses.mean[n] = _scaled(o + far * d, form, per)
         guesses.per[n] = 1.0 / (wide * far * per_metre * WIDER + LEAST)
-        guesses.weight[n] = 1.0 / (wide * wide) if n == 0 or guess[p] != guess[SAME] else 0.0
+        guesses.weight[n] = weight_of(guess, p, wide)
         total += guesses.weight[n]
         n += 1
     for j in range(n):

@@ -19,7 +19,7 @@ from salpcc.stages.strays.aimed.aimed_neighbours import (
     SURFACE,
     above_and_below,
     guess_inverse,
-    learn_surface,
+    learn_distance,
     link,
 )
 from salpcc.stages.strays.learned.learned_rays import code_learned_ray, learn_ray
@@ -160,10 +160,9 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
             turned[g] += _GAIN * min(max(aside, -_MOST_TURNED), _MOST_TURNED)
         else:
             turned[g] += learn_ray(learned, i, k, g, place, points[i], turning, r, aside, form, per, inverse)
-        inverse[i] = 1.0 / r
-        learn_surface(i, place, TWO_PI, azimuth, inverse, expected, surface, beside)
-        for p in range(GUESSES):
-            errors[i, p] = np.uint16(min(abs(guess[p] * r - 1.0), 1.0) * 65535.0)
+        learn_distance(
+            i, place, r, expected, TWO_PI, azimuth, inverse, surface, beside, errors, guess
+        )  # fmt: skip
         if place < 0 or time[place] != time[i]:
             link(i, k, links, ends)
         else:
