@@ -8,7 +8,7 @@ was rounded to 1 mm gives the file's order back.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -57,33 +57,40 @@ def file_order(laser: NDArray[np.uint8], keys: NDArray[np.float64]) -> NDArray[n
     return order
 
 
-def in_order(laser: NDArray[np.int64], keys: NDArray[np.float64]) -> NDArray[np.bool_]:
+@njit(cache=True)
+def in_order(laser: NDArray[np.integer[Any]], keys: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Mark a largest set of points, given in file order, that sorting by (laser, key) leaves in place.
 
     Lasers do not fall along the input.
     """
-    keep = np.ones(len(laser), np.bool_)
-    wrong = (np.diff(keys) <= 0) & (np.diff(laser) == 0)
-    for ring in np.unique(laser[1:][wrong]):
-        begin, end = np.searchsorted(laser, [ring, ring + 1])
-        keep[begin:end] = _longest_rise(keys[begin:end])
+    n = len(laser)
+    keep = np.ones(n, np.bool_)
+    begin, falls = 0, False
+    for i in range(1, n + 1):
+        if i == n or laser[i] != laser[begin]:
+            if falls:
+                keep[begin:i] = _longest_rise(keys[begin:i])
+            begin, falls = i, False
+        else:
+            falls |= keys[i] <= keys[i - 1]
     return keep
 
 
+@njit(cache=True)
 def _longest_rise(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Mark a longest strictly increasing subsequence (patience sorting)."""
-    tails: list[float] = []
-    tail_index: list[int] = []
-    before = np.full(len(values), -1, np.int64)
-    for i, value in enumerate(values.tolist()):
-        place = bisect_left(tails, value)
-        if place:
+    n = len(values)
+    tails, tail_index, before = np.empty(n), np.empty(n, np.int64), np.full(n, -1, np.int64)
+    length = 0
+    for i in range(n):
+        place = np.searchsorted(tails[:length], values[i])
+        if place > 0:
             before[i] = tail_index[place - 1]
-        tails[place : place + 1] = [value]
-        tail_index[place : place + 1] = [i]
-    keep = np.zeros(len(values), np.bool_)
-    i = tail_index[-1] if tail_index else -1
+        tails[place], tail_index[place] = values[i], i
+        length = max(length, place + 1)
+    keep = np.zeros(n, np.bool_)
+    i = tail_index[length - 1]
     while i >= 0:
         keep[i] = True
-        i = int(before[i])
+        i = before[i]
     return keep

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import coordinate_rounding
 from salpcc.stages.lattice.aim import lies_on
+from salpcc.stages.lattice.coarser import ROUNDING, coarser
 from salpcc.stages.lattice.lattice import NO_CORRECTION
 from salpcc.stages.lattice.layers import placed, return_keys
-from salpcc.stages.lattice.order import in_order
+from salpcc.stages.lattice.order import file_order, in_order
 from salpcc.stages.lattice.publish import points_and_keys
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import (
     Places,
     return_places,
-    return_points,
     source_places,
     sweep_to_scan,
 )
@@ -31,8 +31,6 @@ from salpcc.stages.strays.stray_coder import snap
 
 _T = TypeVar("_T", bound=np.generic)
 
-# Half the diagonal of the 1 mm cube that the published points were rounded in.
-_ROUNDING = 0.000867
 _COARSE = 0.05  # metres
 _BESIDE_AXIS, _MOST = 50.0, 0.9  # millimetres that beams start from the axis; of the returns
 
@@ -135,7 +133,7 @@ def counts_per_level(max_error: float, count: float) -> int:
     A level of ``step`` counts decodes to its middle, at most ``(step - 1) / 2`` counts off; the rest of
     the bound pays for the 1 mm rounding of the published points.
     """
-    return max(1, int(np.floor(2.0 * (max_error - _ROUNDING) / count + 1.0 + 1e-9)))
+    return max(1, int(np.floor(2.0 * (max_error - ROUNDING) / count + 1.0 + 1e-9)))
 
 
 @njit(cache=True)
@@ -170,6 +168,18 @@ def _is_coarse(sweep: Sweep, max_error: float) -> bool:
     return sweep.cloud.rings() is not None and bool((bits & 0x1FFF == 0).all())
 
 
+def _some(sweep: Sweep, at: NDArray[np.int64]) -> Sweep:
+    """Return the sweep with the returns ``at`` only, for their points' sake."""
+    return replace(
+        sweep,
+        laser=sweep.laser[at],
+        tick=sweep.tick[at],
+        count=sweep.count[at],
+        millimetre=sweep.millimetre[at],
+        ulp=sweep.ulp[at],
+    )
+
+
 def quantise(
     sweep: Sweep, sensor: SensorModel, max_error: float, gaps: NDArray[np.float64] | None = None
 ) -> Sweep:
@@ -190,36 +200,42 @@ def quantise(
         max_error = max_error - rounding if rounding <= max_error / 2 else 0.0
         if gaps is None and (_distances_are_told(sweep, sensor) or _is_coarse(sweep, max_error)):
             max_error = 0.0
-    exact = max_error == 0 or (max_error < _ROUNDING and len(sweep.laser) > 0)
+    exact = max_error == 0 or (max_error < ROUNDING and len(sweep.laser) > 0)
     if exact and gaps is None:
         return sweep
     moved = sweep.motion if len(sweep.laser) == 0 and gaps is None else None
-    source, by_file = return_points(sweep, sensor)
     coarse = sweep
-    if not exact:
+    if exact:
+        keys = of_source = return_keys(sweep, sensor)
+        fits = np.ones(len(keys), np.bool_)
+    else:
         step = counts_per_level(max_error, sensor.count)
         coarse = replace(sweep, step=step, max_error=max_error, count=(sweep.count // step).astype(np.int32))
-    points, keys = points_and_keys(coarse, sensor)
-    fits = np.ones(len(source), np.bool_) if exact else _distances(points, source) <= max_error
+        fits, of_source, keys = coarser(sweep, coarse, sensor, max_error)
+        unsure = np.flatnonzero(~fits)
+        source, points = (points_and_keys(_some(s, unsure), sensor)[0] for s in (sweep, coarse))
+        fits[unsure] = _distances(points, source) <= max_error
     if gaps is not None:
         fits &= (gaps[0] < keys) & (keys < gaps[1])
-    # Coarser ranges turn a few points past their neighbours in azimuth: find those in file order.
-    candidates = by_file[fits[by_file]]
-    in_place = in_order(sweep.laser[candidates].astype(np.int64), keys[candidates])
-    fits[candidates[~in_place]] = False
+    by_file = file_order(sweep.laser, of_source)
+    if coarse.step > 1:
+        # Coarser ranges turn a few points past their neighbours in azimuth: find those in file order.
+        candidates = by_file if fits.all() else by_file[fits[by_file]]
+        in_place = in_order(sweep.laser[candidates], keys[candidates])
+        fits[candidates[~in_place]] = False
 
-    if exact and fits.all():
+    rank = np.flatnonzero(~fits[by_file])
+    lost = by_file[rank]
+    if exact and not len(lost):
         return sweep
-    kept = slice(None) if fits.all() else fits
-    none = np.full(np.count_nonzero(fits), NO_CORRECTION, np.uint8)
-    lost = np.flatnonzero(~fits)
-    places = np.empty(len(fits), np.int64)
-    places[by_file] = return_places(sweep)
-    stray = np.concatenate([sweep.stray_index, places[lost]])
+    kept = np.flatnonzero(fits) if len(lost) else slice(None)
+    none = np.full(len(fits) - len(lost), NO_CORRECTION, np.uint8)
+    stray = np.concatenate([sweep.stray_index, return_places(sweep)[rank]])
     in_turn = np.argsort(stray, kind="stable")
-    stray_points = np.concatenate(
-        [sweep.stray_points, np.column_stack([source[lost], sweep.intensity[lost]])]
-    )[in_turn]
+    source = points_and_keys(_some(sweep, lost), sensor)[0]
+    stray_points = np.concatenate([sweep.stray_points, np.column_stack([source, sweep.intensity[lost]])])[
+        in_turn
+    ]
     if not exact:
         stray_points[:, :3] = snap(stray_points[:, :3], max_error, sensor, moved)
 
