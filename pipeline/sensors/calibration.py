@@ -173,6 +173,7 @@ def _raw(scan: Listed) -> Listed | None:
             return None
         if motion is None:
             return None
-    raw, _, explained = untwist(points, motion)
+    found = untwist(points, motion)
+    explained = found.explained
     ring = None if scan.ring is None else scan.ring[explained]
-    return Listed(raw[explained] / 1000.0, ring, scan.width if explained.all() else 0)
+    return Listed(found.raw[explained] / 1000.0, ring, scan.width if explained.all() else 0)

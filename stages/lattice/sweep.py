@@ -8,7 +8,7 @@ and a point that would not come back exactly becomes a stray with its own float3
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numba import njit
@@ -36,15 +36,71 @@ _MIN_SHARE = 0.2
 _MIN_POINTS_FOR_MOTION = 200
 
 
+class _Returns(NamedTuple):
+    """Columns of returns in firing order, ``(M,)`` each: their place in the file, and what :class:`~salpcc.schemas.sweep.Sweep` says of them."""
+
+    place: NDArray[np.int64]
+    laser: NDArray[np.uint8]
+    tick: NDArray[np.int32]
+    counts: NDArray[np.int32]
+    millimetre: NDArray[np.uint8]
+    ulp: NDArray[np.uint8]
+
+
+@njit(cache=True)
+def _room(n: int) -> _Returns:
+    return _Returns(
+        np.empty(n, np.int64),
+        np.empty(n, np.uint8),
+        np.empty(n, np.int32),
+        np.empty(n, np.int32),
+        np.empty(n, np.uint8),
+        np.empty(n, np.uint8),
+    )
+
+
+@njit(cache=True)
 def _in_firing_order(
-    laser: NDArray[np.int64], tick: NDArray[np.int32], key: NDArray[np.float64]
-) -> NDArray[np.int64]:
-    """Pick the points, given in file order, that are the only ones of their firing and come back in their place."""
-    keep = in_order(laser, key)
-    cell = (laser << 32) | tick
-    order = np.argsort(cell, kind="stable")
-    keep[order[1:][cell[order[1:]] == cell[order[:-1]]]] = False
-    return order[keep[order]]
+    laser: NDArray[np.int16],
+    tick: NDArray[np.int32],
+    count: NDArray[np.int32],
+    millimetre: NDArray[np.int8],
+    ulp: NDArray[np.int8],
+    key: NDArray[np.float64],
+) -> _Returns:
+    """Pick the points, given in file order ``(N,)``, that come back to the bit, are the only ones of their firing, and come back in their place."""
+    n = len(laser)
+    exact, ring, azimuth = np.empty(n, np.int64), np.empty(n, np.uint8), np.empty(n)
+    m = 0
+    for i in range(n):
+        exact[m], ring[m], azimuth[m] = i, laser[i], key[i]
+        m += (millimetre[i] >= 0) & (ulp[i] >= 0)
+    keep = in_order(ring[:m], azimuth[:m])
+    # Insertion sort: azimuths rise, so ticks nearly do.
+    cell, place = np.empty(m, np.int64), np.empty(m, np.int64)
+    found = 0
+    for k in range(m):
+        if keep[k]:
+            i = exact[k]
+            of_firing = np.int64(ring[k]) << 32 | np.int64(tick[i])
+            j = found
+            while j > 0 and cell[j - 1] > of_firing:
+                cell[j], place[j] = cell[j - 1], place[j - 1]
+                j -= 1
+            cell[j], place[j] = of_firing, i
+            found += 1
+    room = _room(found)
+    m = 0
+    for k in range(found):
+        if k > 0 and cell[k] == cell[k - 1]:
+            continue
+        i = place[k]
+        room.place[m], room.laser[m], room.tick[m], room.counts[m] = i, laser[i], tick[i], count[i]
+        room.millimetre[m], room.ulp[m] = millimetre[i], ulp[i]
+        m += 1
+    return _Returns(
+        room.place[:m], room.laser[:m], room.tick[:m], room.counts[:m], room.millimetre[:m], room.ulp[:m]
+    )
 
 
 def _find_motion(
@@ -64,20 +120,12 @@ def _find_motion(
 
 def _all_strays(scan: Scan, motion: NDArray[np.float64] | None) -> Sweep:
     """A sweep without returns; its motion is by place in the list (:mod:`.list_motion`)."""
-    return _sweep(scan, motion, *(np.zeros(0, np.int64) for _ in range(6)))
+    return _sweep(scan, motion, _room(0))
 
 
-def _sweep(
-    scan: Scan,
-    motion: NDArray[np.float64] | None,
-    on: NDArray[np.int64],
-    laser: NDArray[np.int64],
-    tick: NDArray[np.integer[Any]],
-    count: NDArray[np.integer[Any]],
-    millimetre: NDArray[np.integer[Any]],
-    ulp: NDArray[np.integer[Any]],
-) -> Sweep:
-    """Build the sweep whose returns are the points ``on``; the others are strays."""
+def _sweep(scan: Scan, motion: NDArray[np.float64] | None, found: _Returns) -> Sweep:
+    """Build the sweep of these returns; the other points are strays."""
+    on = found.place
     off = np.ones(len(scan), np.bool_)
     off[on] = False
     stray = np.flatnonzero(off)
@@ -89,12 +137,12 @@ def _sweep(
         motion=motion,
         step=1,
         max_error=0.0,
-        laser=laser.astype(np.uint8),
-        tick=tick.astype(np.int32),
-        count=count.astype(np.int32),
+        laser=found.laser,
+        tick=found.tick,
+        count=found.counts,
         intensity=scan.intensity[on],
-        millimetre=millimetre.astype(np.uint8),
-        ulp=ulp.astype(np.uint8),
+        millimetre=found.millimetre,
+        ulp=found.ulp,
         classes=None if scan.classes is None else scan.classes[on],
         stray_index=stray,
         stray_points=np.column_stack([scan.points[stray], scan.intensity[stray]]),
@@ -131,14 +179,13 @@ def scan_to_sweep(
     if not locked:
         return _all_strays(scan, find_motion(points, sensor) if seek else None)
 
-    raw, compensated, usable = untwist(points, motion)
-    laser = assign_lasers(sensor, raw, usable)
-    tick, count, millimetre, ulp, key = measure(sensor, laser, raw, compensated, points)
-    on = np.flatnonzero((millimetre >= 0) & (ulp >= 0))
-    on = on[_in_firing_order(laser[on], tick[on], key[on])]
-    if len(on) < _MIN_SHARE * len(scan):
+    raw, azimuth, ulp, explained = untwist(points, motion)
+    laser = assign_lasers(sensor, raw, explained)
+    tick, count, millimetre, key = measure(sensor, laser, raw, azimuth)
+    found = _in_firing_order(laser, tick, count, millimetre, ulp, key)
+    if len(found.place) < _MIN_SHARE * len(scan):
         return _all_strays(scan, find_motion(points, sensor) if seek else None)
-    return _sweep(scan, motion, on, laser[on], tick[on], count[on], millimetre[on], ulp[on])
+    return _sweep(scan, motion, found)
 
 
 def return_points(sweep: Sweep, sensor: SensorModel) -> tuple[NDArray[np.float32], NDArray[np.int64]]:

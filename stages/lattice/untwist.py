@@ -9,10 +9,14 @@ KITTI odometry scans are raw scans moved by the vehicle's motion ``(v, w)`` duri
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.lattice.lattice import correction_code
+from salpcc.stages.lattice.near_inverse import F, near_inverse
 from salpcc.stages.lattice.trig import TWO_PI, arctan2
 
 # Points of a fitted scan are off the 1 mm lattice by float32 rounding only (about 0.0005 mm).
@@ -142,9 +146,21 @@ def twist(raw: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.f
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def _metres(millimetres: float) -> float:
+    """A raw coordinate: float32 of a whole number of millimetres, and no -0.0."""
+    return np.float64(np.float32(millimetres / 1000.0 + 0.0))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def on_lattice(x: float, correction: int = 0) -> float:
-    """Nearest raw coordinate: float32 of a whole number of millimetres, and no -0.0."""
-    return np.float64(np.float32((np.rint(x * 1000.0) + correction) / 1000.0 + 0.0))
+    """Nearest raw coordinate."""
+    return _metres(np.rint(x * 1000.0) + correction)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _millimetres(x: float) -> float:
+    """Nearest whole number of millimetres; 0 of what is not finite or beyond 10 km, which must not become an integer."""
+    return np.rint(np.float64(x) * 1000.0) if abs(x) < _FARTHEST else 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -157,94 +173,100 @@ def returns(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     return marked
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _near_inverse(x: float, y: float, z: float, m: Motion) -> tuple[float, float, float]:
-    """:func:`inverse` of points that are neither near the seam nor near the axis, without branches."""
-    s0 = arctan2(y, x) / TWO_PI
-    c = ((y * m[0] - x * m[1]) / (x * x + y * y) - m[5]) * (1.0 / TWO_PI)
-    s = s0 / (1.0 - c)
-    qx, qy, _ = turned_back(x, y, z, s, m)
-    t = (x * qy - y * qx) / (x * qx + y * qy)
-    s += (s0 + t * (1.0 - t * t * (1.0 / 3.0)) * (1.0 / TWO_PI) - s) / (1.0 - c)
-    return turned_back(x, y, z, s, m)
+class Untwisted(NamedTuple):
+    """Points ``(N, 3)`` with their motion undone.
+
+    Attributes:
+        raw: int32, whole millimetres.
+        azimuth: of the raw points, in [-pi, pi], ``(N,)`` float64.
+        ulp: codes int8 ``(N,)`` of the last bits by which the points are off the raw ones moved forward, as :func:`~.lattice.correction_code` has them.
+        explained: per point, whether the two roundings explain it to 0.01 mm. Points that are not finite or beyond 10 km do not count as explained.
+    """
+
+    raw: NDArray[np.int32]
+    azimuth: NDArray[np.float64]
+    ulp: NDArray[np.int8]
+    explained: NDArray[np.bool_]
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _again(qx: float, qy: float, qz: float, m: Motion, moving: bool) -> tuple[float, float, float]:
-    """Round a raw point to the lattice and move it forward again."""
-    qx, qy, qz = on_lattice(qx), on_lattice(qy), on_lattice(qz)
-    fx, fy, fz = forward(qx, qy, qz, m)
-    return (fx if moving else qx), (fy if moving else qy), (fz if moving else qz)
+def _off(value, given):  # type: ignore[no-untyped-def]
+    """By how many last bits a float32, given as its bits, is off a value."""
+    bits, given = np.int64(np.float32(value).view(np.int32)), np.int64(given)
+    return (given ^ 0x7FFFFFFF if given < 0 else given) - (bits ^ 0x7FFFFFFF if bits < 0 else bits)
 
 
 @njit(cache=True, error_model="numpy")
-def _by_branches(x, y, z, motion, raw, again):  # type: ignore[no-untyped-def]
-    """Untwist one point by every branch of s that it may have; fill its rows, tell whether one explains it."""
+def _by_branches(x, y, z, motion, raw):  # type: ignore[no-untyped-def]
+    """Untwist one point by every branch of s that it may have; return it moved forward again, and whether one explains it."""
     near_seam = x < 0.0 and abs(y) < -0.1 * x
     for branch in (0, 1, -1):
-        if branch != 0 and not near_seam:
-            break
         qx, qy, qz = inverse(x, y, z, motion, branch)
         raw[0], raw[1], raw[2] = np.rint(qx * 1000.0), np.rint(qy * 1000.0), np.rint(qz * 1000.0)
-        again[0], again[1], again[2] = _again(qx, qy, qz, motion, True)
-        if (
-            abs(again[0] - x) < ON_LATTICE
-            and abs(again[1] - y) < ON_LATTICE
-            and abs(again[2] - z) < ON_LATTICE
-        ):
-            return True
-    return False
+        fx, fy, fz = forward(on_lattice(qx), on_lattice(qy), on_lattice(qz), motion)
+        explained = max(max(abs(fx - x), abs(fy - y)), abs(fz - z)) < ON_LATTICE
+        if explained or not near_seam:
+            break
+    return fx, fy, fz, explained
 
 
 @njit(cache=True, error_model="numpy")
 def _untwist(
-    points: NDArray[np.float32], motion: NDArray[np.float64], moving: bool
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+    points: NDArray[np.float32], bits: NDArray[np.int32], motion: NDArray[np.float64], moving: bool
+) -> Untwisted:
     n = len(points)
-    raw = np.empty((n, 3), np.int64)
-    again = np.empty((n, 3))
-    good = np.empty(n, np.bool_)
+    raw, azimuth = np.empty((n, 3), np.int32), np.empty(n)
+    ulp, good = np.empty(n, np.int8), np.empty(n, np.bool_)
     m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
-    block = np.empty((6, BLOCK))
-    x, y, z, fx, fy, fz = block[0], block[1], block[2], block[3], block[4], block[5]
-    off = np.empty(BLOCK)
+    near = (F(m[0]), F(m[1]), F(m[2]), F(m[3]), F(m[4]), F(m[5]))
+    # Columns, and loops that do one thing, become vector instructions.
+    given, block = np.empty((6, BLOCK), np.float32), np.empty((4, BLOCK))
+    px, py, pz, qx, qy, qz = given[0], given[1], given[2], given[3], given[4], given[5]
+    x, y, z, off = block[0], block[1], block[2], block[3]
     for start in range(0, n, BLOCK):
         size = min(BLOCK, n - start)
         for i in range(size):
-            x[i], y[i], z[i] = points[start + i, 0], points[start + i, 1], points[start + i, 2]
+            px[i], py[i], pz[i] = points[start + i, 0], points[start + i, 1], points[start + i, 2]
+        if moving:
+            for i in range(size):
+                qx[i], qy[i], qz[i] = near_inverse(px[i], py[i], pz[i], near)
+        else:
+            qx[:], qy[:], qz[:] = px, py, pz
         for i in range(size):
-            px, py, pz = x[i], y[i], z[i]
-            qx, qy, qz = _near_inverse(px, py, pz, m)
-            qx, qy, qz = (qx if moving else px), (qy if moving else py), (qz if moving else pz)
-            fx[i], fy[i], fz[i] = _again(qx, qy, qz, m, moving)
-            x[i], y[i], z[i] = qx, qy, qz
-            off[i] = max(max(abs(fx[i] - px), abs(fy[i] - py)), abs(fz[i] - pz))
+            x[i], y[i], z[i] = _millimetres(qx[i]), _millimetres(qy[i]), _millimetres(qz[i])
         for i in range(size):
-            px, py, pz = points[start + i, 0], points[start + i, 1], points[start + i, 2]
-            if not (abs(px) < _FARTHEST and abs(py) < _FARTHEST and abs(pz) < _FARTHEST):
-                raw[start + i] = 0
-                again[start + i] = 0.0
-                good[start + i] = False
-                continue
-            raw[start + i, 0], raw[start + i, 1] = np.rint(x[i] * 1000.0), np.rint(y[i] * 1000.0)
-            raw[start + i, 2] = np.rint(z[i] * 1000.0)
-            again[start + i, 0], again[start + i, 1], again[start + i, 2] = fx[i], fy[i], fz[i]
+            raw[start + i, 0], raw[start + i, 1], raw[start + i, 2] = x[i], y[i], z[i]
+        for i in range(size):
+            x[i], y[i], z[i] = _metres(x[i]), _metres(y[i]), _metres(z[i])
+        for i in range(size):
+            azimuth[start + i] = arctan2(y[i], x[i])
+        if moving:
+            for i in range(size):
+                x[i], y[i], z[i] = moved(x[i], y[i], z[i], azimuth[start + i] / TWO_PI, m)
+        for i in range(size):
+            off[i] = max(max(abs(x[i] - px[i]), abs(y[i] - py[i])), abs(z[i] - pz[i]))
+        for i in range(size):
             good[start + i] = off[i] < ON_LATTICE
-            if moving and not off[i] < ON_LATTICE:
-                good[start + i] = _by_branches(
-                    np.float64(px), np.float64(py), np.float64(pz), motion, raw[start + i], again[start + i]
+        for i in range(size):
+            ulp[start + i] = correction_code(
+                _off(x[i], bits[start + i, 0]), _off(y[i], bits[start + i, 1]), _off(z[i], bits[start + i, 2])
+            )
+        if moving:
+            for i in range(size):
+                at, far = start + i, not max(max(abs(px[i]), abs(py[i])), abs(pz[i])) < _FARTHEST
+                if good[at] or far:
+                    continue
+                fx, fy, fz, good[at] = _by_branches(
+                    np.float64(px[i]), np.float64(py[i]), np.float64(pz[i]), motion, raw[at]
                 )
-    return raw, again, good
+                azimuth[at] = arctan2(raw[at, 1] / 1000.0, raw[at, 0] / 1000.0)
+                ulp[at] = correction_code(_off(fx, bits[at, 0]), _off(fy, bits[at, 1]), _off(fz, bits[at, 2]))
+    return Untwisted(raw, azimuth, ulp, good)
 
 
-def untwist(
-    points: NDArray[np.float32], motion: NDArray[np.float64] | None
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Undo :func:`twist` (``motion`` None: the points are raw already).
-
-    Returns:
-        raw points ``(N, 3)`` int64 in mm; those moved forward again, ``(N, 3)`` float64 in metres; and
-        per point whether the two roundings explain the point to 0.01 mm. Points that are not finite or
-        beyond 10 km do not count as explained.
-    """
-    return _untwist(points, np.zeros(6) if motion is None else motion, motion is not None)
+def untwist(points: NDArray[np.float32], motion: NDArray[np.float64] | None) -> Untwisted:
+    """Undo :func:`twist` (``motion`` None: the points ``(N, 3)`` are raw already)."""
+    result: Untwisted = _untwist(
+        points, points.view(np.int32), np.zeros(6) if motion is None else motion, motion is not None
+    )
+    return result

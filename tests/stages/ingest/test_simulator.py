@@ -109,7 +109,7 @@ def test_points_are_the_raw_ones_moved_and_come_back(scans: list[SimulatedScan])
         moved = twist(scan.raw.astype(np.float64), scan.motion).astype(np.float32)
         assert np.array_equal(moved, scan.points)
         assert scan.motion[0] == pytest.approx(-FAST.speed_mps * FAST.period_s, rel=0.2)
-        found, _, explained = untwist(scan.points, scan.motion)
+        found, _, _, explained = untwist(scan.points, scan.motion)
         wrong = (found != np.rint(scan.raw.astype(np.float64) * 1000)).any(axis=1)
         assert wrong.mean() < 1e-3
         assert explained.mean() > 0.999
