@@ -217,16 +217,18 @@ def table_to_movable_predictions(table: pa.Table) -> list[Prediction] | None:
     return None if movable is None else table_to_predictions(movable)
 
 
-def list_column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
-    """Build a list column from arrays of any shape, flattened, without going through Python objects (NaN bits are kept)."""
-    flat = [np.empty(0) if v is None else np.ascontiguousarray(v).ravel() for v in values]
+def list_column(values: list[NDArray[Any] | None], kind: pa.DataType) -> pa.ChunkedArray:
+    """Build a list column from arrays of any shape, flattened, a chunk each: neither copied nor through Python objects (NaN bits are kept)."""
     dtype = kind.value_type.to_pandas_dtype()
-    joined = np.concatenate([f.astype(dtype, copy=False) for f in flat]) if flat else np.empty(0, dtype)
-    offsets = np.zeros(len(flat) + 1, np.int32)
-    np.cumsum([len(f) for f in flat], out=offsets[1:])
-    mask = pa.array([v is None for v in values], pa.bool_())
+    return pa.chunked_array([_list_of(value, kind, dtype) for value in values], kind)
+
+
+def _list_of(value: NDArray[Any] | None, kind: pa.DataType, dtype: Any) -> pa.Array:
+    if value is None:
+        return pa.nulls(1, kind)
+    flat = np.ascontiguousarray(value, dtype).ravel()
     return pa.ListArray.from_arrays(
-        pa.array(offsets), pa.array(joined, kind.value_type), type=kind, mask=mask
+        pa.array([0, len(flat)], pa.int32()), pa.array(flat, kind.value_type), type=kind
     )
 
 

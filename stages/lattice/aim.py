@@ -14,6 +14,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import turn_tables
 
 _SAMPLE = 2000  # points
+_FIRST_LOOK, _HARDLY = 100, 0.1  # points of which hardly any lies on a lattice that is not theirs
 _UNROUNDED = 5e-5  # metres
 
 F64 = NDArray[np.float64]
@@ -95,14 +96,22 @@ def aim(sensor: SensorModel, points: F64, laser: I64 | None = None) -> tuple[I64
 
 def lies_on(sensor: SensorModel, points: NDArray[np.float32], within: float = _UNROUNDED) -> bool:
     """Tell whether most returns of ``points (N, 3)`` lie so close to the lattice; as computed from it, neither rounded nor moved."""
+    first = _offsets(sensor, points, _FIRST_LOOK)
+    if len(first) > _FIRST_LOOK // 10 and (first < within).mean() < _HARDLY:
+        return False
     return share_on(sensor, points, within) > 0.5
 
 
 def share_on(sensor: SensorModel, points: NDArray[np.float32], within: float = _UNROUNDED) -> float:
     """Share of the returns among ``points (N, 3)`` that lie so close to the lattice, from a sample; 0 for too few."""
-    sample = points[:: len(points) // _SAMPLE + 1].astype(np.float64)
-    off = aim(sensor, sample[np.abs(sample).max(axis=1, initial=0.0) > 0])[3]
+    off = _offsets(sensor, points, _SAMPLE)
     return float((off < within).mean()) if len(off) > _SAMPLE // 10 else 0.0
+
+
+def _offsets(sensor: SensorModel, points: NDArray[np.float32], many: int) -> F64:
+    """How far the returns among about ``many`` of the points are from the lattice."""
+    sample = points[:: len(points) // many + 1].astype(np.float64)
+    return aim(sensor, sample[np.abs(sample).max(axis=1, initial=0.0) > 0])[3]
 
 
 def given_back(

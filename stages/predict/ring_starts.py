@@ -8,4 +8,5 @@ from numpy.typing import NDArray
 
 def ring_starts(laser: NDArray[np.uint8], lasers: int) -> NDArray[np.int64]:
     """Return where each ring starts among returns in firing order, ``(L + 1,)`` int64."""
-    return np.searchsorted(laser, np.arange(lasers + 1)).astype(np.int64)
+    # Of the same type, or all of ``laser`` would be converted.
+    return np.append(np.searchsorted(laser, np.arange(lasers, dtype=np.uint8)), len(laser))

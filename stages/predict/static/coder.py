@@ -105,9 +105,13 @@ def _encode_values(
     return finish(x, other, position, words)
 
 
+@njit(cache=True)
 def _ends(order: Bytes) -> Starts:
-    """Return where the returns of each ring end."""
-    return np.cumsum(np.bincount(order))
+    """Return where the returns of each ring end, ``(256,)``."""
+    many = np.zeros(256, np.int64)
+    for ring in order:
+        many[ring] += 1
+    return np.cumsum(many)
 
 
 def encode_levels(order: Bytes, context: Bytes, residual: Ints, step: int, tables: StaticTables) -> bytes:
