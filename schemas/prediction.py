@@ -16,9 +16,9 @@ class Prediction:
         effort: the effort that coding will take; ``fast`` where no network knows the sensor.
         residual, level_context: effort ``fast``: level minus predicted level int32, and its context uint8, ``(M,)``.
         intensity_context: effort ``fast``: uint16 ``(M,)``, None for intensities that are no hundredths.
-        order: effort ``fast``: ring of each return in the order in which they are coded, uint8 ``(M,)``.
+        order: in the order in which ranges are coded, uint8 ``(M,)``: of each return the ring, effort ``fast``, or the laser.
         range_interval, intensity_interval: the learned efforts: uint32 ``(M, 2)``, start and width of the
-            interval that the predicted distribution gives to the actual value. The latter is None for
+            interval that the predicted distribution gives to the actual value, in the order of coding. The latter is None for
             intensities that are no hundredths.
     """
 

@@ -23,8 +23,8 @@ from salpcc.stages.predict.static.tokens import ESCAPE, ESCAPED_BITS, shift_of, 
 def laser_bits(sweep: Sweep, predicted: Prediction, n_lasers: int) -> NDArray[np.float64]:
     """Return the bits ``(n_lasers,)`` that the ranges of all returns of each laser take."""
     sums = np.zeros(n_lasers)
-    if predicted.range_interval is not None:
-        _of_intervals(sweep.laser, predicted.range_interval, sums)
+    if predicted.range_interval is not None and predicted.order is not None:
+        _of_intervals(predicted.order, predicted.range_interval, sums)
     elif predicted.residual is not None and predicted.level_context is not None:
         costs = _token_costs(table_of(sweep.step))
         _of_tokens(sweep.laser, predicted.level_context, predicted.residual, costs, sums)

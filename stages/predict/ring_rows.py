@@ -11,11 +11,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.predict.sweep_walk import longest_ring
+from salpcc.stages.predict.vectors import inline
 
 PAD = 8  # returns of a margin
 SLACK = 8  # room behind the last margin that vectors may read
 
-_TICKS = np.float32(4000.0)
 _TICKS_PER_RADIAN = np.float32(636.6197723675814)
 _EDGE, _SPAN = np.float32(0.06), np.float32(16.0)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
@@ -59,18 +59,44 @@ def place_rings(
 
 
 @njit(cache=True, error_model="numpy")
-def close_ring(azimuth: F32, inverse: F32, error: F32, n: int) -> None:
-    """Fill the cyclic margins of a coded ring that stands at ``[PAD, PAD + n)``; n at least 1."""
-    for p in range(PAD):
-        left = PAD + n - 1 - p % n
-        right = PAD + p % n
-        turns = np.float32(1 + p // n) * _TICKS
-        azimuth[PAD - 1 - p] = azimuth[left] - turns
-        inverse[PAD - 1 - p] = inverse[left]
-        azimuth[PAD + n + p] = azimuth[right] + turns
-        inverse[PAD + n + p] = inverse[right]
-        error[PAD - 1 - p] = error[PAD]
-        error[PAD + n + p] = error[PAD + n - 1]
+def place_azimuths(starts: NDArray[np.int64], tick: I32, constants: F32) -> F32:
+    """Azimuths of all rings, each at ``[PAD, PAD + n)`` of its row, without margins."""
+    azimuth = np.zeros((len(starts) - 1, row_size(starts)), np.float32)
+    for k in range(len(starts) - 1):
+        for i in range(starts[k], starts[k + 1]):
+            azimuth[k, PAD + i - starts[k]] = np.float32(tick[i]) + constants[k, 3]
+    return azimuth
+
+
+@inline
+def lever_ticks(lever: np.float32) -> np.float32:
+    """Return by how many ticks, per inverse range, a difference of two lever arms in metres moves what is seen."""
+    return lever * _TICKS_PER_RADIAN
+
+
+@inline
+def follow(frames: F32, ring: int, j: int, end: int, a: np.float32) -> int:
+    """Return the last place, from ``j`` on and before ``end``, of a row of azimuths whose returns are not after ``a``."""
+    while j + 1 < end and frames[np.uint64(ring), np.uint64(j + 1)] <= a:
+        j += 1
+    return j
+
+
+@inline
+def across(frames: F32, ring: int, inverse: F32, of: int, j: int, a: np.float32) -> np.float32:
+    """Interpolate inverse ranges of a row at azimuth ``a`` between places j and j + 1: linear, or the nearer one across an edge.
+
+    Azimuths are row ``ring`` of ``frames``, ranges row ``of``.
+    """
+    row, row_of, at, after = np.uint64(ring), np.uint64(of), np.uint64(j), np.uint64(j + 1)
+    span = frames[row, after] - frames[row, at]
+    t = (a - frames[row, at]) / span if span > _ZERO else _ZERO
+    t = min(max(t, _ZERO), _ONE)
+    first, second = inverse[row_of, at], inverse[row_of, after]
+    difference = second - first
+    if abs(difference) > _EDGE * first or span > _SPAN:
+        return second if t > _HALF else first
+    return first + t * difference
 
 
 @njit(cache=True, error_model="numpy")
@@ -91,7 +117,7 @@ def align(
     margins included), and for each of the ``m`` current azimuths ``index`` (the last return of the
     ring not after it) and ``value`` (inverse range there: linear, or the nearer one across an edge).
     """
-    shift = lever * _TICKS_PER_RADIAN
+    shift = lever_ticks(lever)
     for i in range(n + 2 * PAD):
         frame[i] = azimuth[i] + shift * inverse[i]
     j = PAD - 1

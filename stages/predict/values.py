@@ -40,11 +40,11 @@ def predict(sweep: Sweep, sensor: SensorModel, effort: str, before: Sweep | None
         return Prediction(effort, found.residual, found.of_levels, of_values, found.order)
     learned = load_models(effort)
     warped = warp(before, sweep.motion, sensor) if learned.looks_back else None
-    ranges = predict_ranges(*given, sensor, learned.ranges, warped)
+    ranges, order = predict_ranges(*given, sensor, learned.ranges, warped)
     intensity = (
         None if values is None else predict_intensity(*given, values, sensor, learned.intensity, warped)
     )
-    return Prediction(effort, range_interval=ranges, intensity_interval=intensity)
+    return Prediction(effort, order=order, range_interval=ranges, intensity_interval=intensity)
 
 
 def predict_sweeps(sweeps: Iterable[Sweep], sensor: SensorModel, effort: str) -> list[Prediction]:

@@ -12,27 +12,28 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.predict.learned.range_features import rounded, squash
 from salpcc.stages.predict.ring_rows import PAD
 from salpcc.stages.predict.vectors import (
+    Lanes,
     choose,
     inline,
     join,
     lane,
     load,
     of,
-    size,
     splice,
     spread,
     store,
     summed,
 )
+from salpcc.stages.predict.vectors import size as size_of
 
 LEFT = 6
 INPUTS = 56
-GAPS = 8  # features that do not depend on intensities
 NONE = np.float32(25.0)  # intensity of a return that is not there
 
 # Where the features stand among the inputs of the network.
@@ -60,110 +61,131 @@ I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
 
-class RingBeside(NamedTuple):
-    """A ring above or below as the returns of the current one see it; meaningless where ``there`` is not.
+class Rings(NamedTuple):
+    """All rings of a sweep, each at ``[PAD, PAD + n)`` of its row of ``size`` places, margins cyclic; on the left, intensities are the first return's.
 
     Attributes:
-        frame, inverse, intensity: ``(size,)`` azimuths in ticks in the frame of the current laser, inverse ranges, 0..100.
-        near: ``(size,)`` by return of the current ring, its return before that.
-        there: whether it has returns.
+        azimuth, inverse, intensity: ``(L, size)`` in ticks, inverse ranges, 0..100 where it is known.
+        above: ``(L, size)`` azimuths of the ring above in the frame of the ring.
+        near: ``(3 L, size)``: rows 3 k, 3 k + 1, 3 k + 2 are places of the returns before those of ring k in rings k - 1, k - 2, k + 1.
     """
 
-    frame: F32
+    azimuth: F32
     inverse: F32
     intensity: F32
+    above: F32
     near: I32
-    there: bool
+
+
+class Around(NamedTuple):
+    """Where a return stands, what is around it: return i of a ring, whether there are the rings k - 1, k - 2, k + 1, and its near places there."""
+
+    ring: int
+    i: int
+    above: bool
+    second: bool
+    below: bool
+    near: int
+    near2: int
+    near3: int
 
 
 class Slots(NamedTuple):
-    """What :func:`slot_places` and :func:`ring_gaps` make of a ring: twice ``(LEFT + 1, 32)``, and ``(size, GAPS)``."""
+    """Weights of the slots before nearness, and 1 where a range is known: ``(8, LEFT + 1, 32)`` both, by :func:`which`, and by how many returns there are to the left."""
 
     places: F32
     there: F32
-    gaps: I16
 
 
 @inline
-def slot_places(has1: bool, has2: bool, below: bool, places: F32, there: F32) -> None:
-    """Fill ``(LEFT + 1, 32)`` weights of the slots by how many returns there are to the left, before nearness.
+def which(above: bool, second: bool, below: bool) -> int:
+    """Return a number of the rings that are there."""
+    return int(above) + 2 * int(second) + 4 * int(below)
 
-    ``there`` of the same shape: 1 where a range is known.
+
+@njit(cache=True, error_model="numpy")
+def slot_places() -> Slots:
+    """Return the slots' weights."""
+    slots = Slots(np.zeros((8, LEFT + 1, 32), np.float32), np.zeros((8, LEFT + 1, 32), np.float32))
+    for rings in range(8):
+        for n in range(LEFT + 1):
+            for k in range(32):
+                weight, known = _ZERO, True
+                if k < 8:
+                    known = k >= 8 - n
+                    weight = _ONE
+                elif k < 16:
+                    known = rings & 1 > 0
+                    weight = _ONE if k == 11 or k == 12 else _HALF
+                elif k < 20:
+                    known = rings & 2 > 0
+                    weight = _HALF
+                elif k < 24:
+                    known = rings & 4 > 0
+                slots.places[rings, n, k] = weight if known else _ZERO
+                slots.there[rings, n, k] = _ONE if known else _ZERO
+    return slots
+
+
+@inline
+def _gaps(at: int, n: int, around: Around, rings: Rings) -> Lanes:
+    """Features of a return at flat index ``at``, of a ring of ``n``, that depend on azimuths only."""
+    azimuths = load(rings.azimuth, at - 1, 4)
+    a = lane(azimuths, 1)
+    above = load(rings.above, around.ring * rings.azimuth.shape[1] + around.near, 2)
+    before = (a - lane(azimuths, 0)) * _HALF - _ONE if around.i > 0 else _GAP
+    after = (lane(azimuths, 2) - a) * _HALF - _ONE if around.i + 1 < n else _GAP
+    left = (a - lane(above, 0)) * _HALF if around.above else _GAP
+    right = (lane(above, 1) - a) * _HALF if around.above else _GAP
+    x = squash(of(before, after, left, right, _ZERO, _ZERO, _ZERO, _ZERO))
+    there = of(_ONE if around.above else _ZERO, _ONE if around.second else _ZERO)
+    return rounded(splice(x, join(join(there, there), join(there, there)), 4))
+
+
+@inline
+def intensity_features(around, n, rings, left, quotient, activity, slots, x, to):  # type: ignore[no-untyped-def]
+    """Fill the inputs of a return, from flat index ``to`` of ``x``; return the two nearest intensities (left, above) and the local mean.
+
+    ``around`` is an :class:`Around`, in a ring of ``n``, of :class:`Rings`; ``left`` are eight lanes of intensities to the
+    left, the nearest last; ``slots`` :class:`Slots`.
     """
-    for n in range(LEFT + 1):
-        for k in range(32):
-            weight, known = _ZERO, True
-            if k < 8:
-                known = k >= 8 - n
-                weight = _ONE
-            elif k < 16:
-                known = has1
-                weight = _ONE if k == 11 or k == 12 else _HALF
-            elif k < 20:
-                known = has2
-                weight = _HALF
-            elif k < 24:
-                known = below
-            places[n, k] = weight if known else _ZERO
-            there[n, k] = _ONE if known else _ZERO
-
-
-@inline
-def ring_gaps(m: int, azimuth: F32, above: RingBeside, second: bool, gaps: I16) -> None:
-    """Fill the features of all ``m`` returns of a ring that depend on azimuths only, ``gaps`` (m, GAPS)."""
-    for i in range(m):
-        c = PAD + i
-        a = azimuth[c]
-        before = (a - azimuth[c - 1]) * _HALF - _ONE if i > 0 else _GAP
-        after = (azimuth[c + 1] - a) * _HALF - _ONE if i + 1 < m else _GAP
-        j1 = above.near[i]
-        left = (a - above.frame[j1]) * _HALF if above.there else _GAP
-        right = (above.frame[j1 + 1] - a) * _HALF if above.there else _GAP
-        x = squash(of(before, after, left, right, _ZERO, _ZERO, _ZERO, _ZERO))
-        there = of(_ONE if above.there else _ZERO, _ONE if second else _ZERO)
-        store(gaps, i * GAPS, rounded(splice(x, join(join(there, there), join(there, there)), 4)))
-
-
-@inline
-def intensity_features(  # type: ignore[no-untyped-def]
-    i, azimuth, inverse, left, first, second, below, quotient, activity, slots, x
-):
-    """Fill the inputs ``x`` (END,); return the two nearest intensities (left, above) and the local mean.
-
-    ``left`` are eight lanes of intensities to the left, the nearest last; ``first``, ``second`` and ``below`` are
-    :class:`RingBeside`, of the one below only ranges; ``slots`` :class:`Slots`.
-    """
-    c = PAD + i
-    w0 = inverse[c]
+    size = rings.azimuth.shape[1]
+    row = around.ring * size
+    row1, row2, row3 = max(row - size, 0), max(row - 2 * size, 0), min(row + size, rings.azimuth.size - size)
+    c = row + PAD + around.i
+    inverse = rings.inverse
+    w0 = inverse[np.uint64(around.ring), np.uint64(PAD + around.i)]
     per_w = quotient / (w0 * w0) * _UNIT
-    n_left = min(i, LEFT)
-    j1, j2 = first.near[i], second.near[i]
-    upper, top = j1 - 3, j2 - 1
-    around = join(
-        join(load(inverse, c - 8, 8), load(first.inverse, upper, 8)),
+    n_left = min(around.i, LEFT)
+    upper, top = row1 + around.near - 3, row2 + around.near2 - 1
+    beside = join(
+        join(load(inverse, c - 8, 8), load(inverse, upper, 8)),
         join(
-            splice(load(second.inverse, top, 8), load(below.inverse, below.near[i] - 5, 8), 4),
+            splice(load(inverse, top, 8), load(inverse, row3 + around.near3 - 5, 8), 4),
             load(inverse, c + 1, 8),
         ),
     )
-    known = load(slots.there, n_left * 32, 32) > _ZERO
-    off = choose(known, (around - w0) * per_w, spread(_GAP, 32))
-    above = join(load(second.intensity, top, 8), spread(NONE, 8))
-    value = choose(known, join(join(left, load(first.intensity, upper, 8)), above), spread(NONE, 32))
+    at = (which(around.above, around.second, around.below) * (LEFT + 1) + n_left) * 32
+    known = load(slots.there, at, 32) > _ZERO
+    off = choose(known, (beside - w0) * per_w, spread(_GAP, 32))
+    above = join(load(rings.intensity, top, 8), spread(NONE, 8))
+    value = choose(known, join(join(left, load(rings.intensity, upper, 8)), above), spread(NONE, 32))
     q = off * _HALF
-    weight = load(slots.places, n_left * 32, 32) / (q * q + _ONE)
+    weight = load(slots.places, at, 32) / (q * q + _ONE)
     total = summed(_LITTLE, weight, 2, 20)
     mean = summed(_LITTLE * NONE, weight * value, 2, 20) / total
-    apart = summed(_ZERO, weight * size(value - mean), 2, 20) / total
-    store(x, _RANGES, rounded(squash(off)))
-    store(x, _GAPS, load(slots.gaps, i * GAPS, GAPS))
-    store(x, _VALUES, rounded(value * _PER_STEP))
+    apart = summed(_ZERO, weight * size_of(value - mean), 2, 20) / total
+    store(x, to + _RANGES, rounded(squash(off)))
+    store(x, to + _GAPS, _gaps(c, n, around, rings))
+    store(x, to + _VALUES, rounded(value * _PER_STEP))
     rest = of(
         mean * _PER_STEP, apart * _PER_STEP * _TWO, activity * _PER_STEP * _TWO, np.sqrt(_ONE / w0) * _HALF,
         np.sqrt(w0) * _FOUR, total * _QUARTER, np.float32(n_left) * _EIGHTH, _ZERO,
     )  # fmt: skip
-    store(x, _REST, rounded(rest))
+    store(x, to + _REST, rounded(rest))
     nearest = lane(value, 11)
-    if first.there and first.frame[j1 + 1] - azimuth[c] < azimuth[c] - first.frame[j1]:
+    frame = load(rings.above, row + around.near, 2)
+    a = rings.azimuth[np.uint64(around.ring), np.uint64(PAD + around.i)]
+    if around.above and lane(frame, 1) - a < a - lane(frame, 0):
         nearest = lane(value, 12)
     return int(lane(value, 7)), int(nearest), mean

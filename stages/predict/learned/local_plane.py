@@ -24,8 +24,8 @@ F32 = NDArray[np.float32]
 
 
 @inline
-def around(left: Lanes, upper: F32, u: int, second: F32, s: int) -> Lanes:
-    """Gather the slots: eight lanes of the current ring, ten of a row from ``u`` on, six of another from ``s`` on."""
+def slots_around(left: Lanes, upper: F32, u: int, second: F32, s: int) -> Lanes:
+    """Gather the slots: eight lanes of the current ring, ten of a row from flat index ``u`` on, six of another from ``s`` on."""
     last = splice(load(upper, u + 8, 8), load(second, s - 2, 8), 2)
     return join(join(left, load(upper, u, 8)), join(last, spread(_ZERO, 8)))
 

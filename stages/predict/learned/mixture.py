@@ -3,8 +3,8 @@
 All tables are made by repeated multiplication and division from a few constants, so they are the same
 on every machine; evaluation uses float64 with ``+ - * /`` in a fixed order.
 
-A mixture is a float64 array of the PLACES means in counts, then the inverse scales, then the weights, which sum to 1. A
-component that is dropped stays in its place with weight 0, which adds nothing to any sum.
+A mixture is a row of a float64 array: the PLACES means in counts, then the inverse scales, then the weights, which sum to 1. A
+component that is dropped has weight 0 and no place, as it would add nothing to any sum.
 """
 
 from __future__ import annotations
@@ -12,7 +12,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.vectors import cast, highest, inline, larger, load, smaller, store, summed
+from salpcc.stages.predict.vectors import (
+    cast,
+    highest,
+    inline,
+    larger,
+    load,
+    smaller,
+    spread,
+    store,
+    summed,
+)
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -21,6 +31,7 @@ I32 = NDArray[np.int32]
 BITS = 24
 TOTAL = 1 << BITS
 PLACES = 16  # of components
+_SIZE = 3 * PLACES
 SHARED = (9, 0)  # predictors of the components beyond the first ten
 _MEANS, _INVERSES, _WEIGHTS, _LOW, _SLOPE = 0, 16, 32, 0, 1
 _PER_UNIT = 32
@@ -72,93 +83,129 @@ def output_places(predictors: int) -> tuple[int, ...]:
 
 
 @inline
-def set_mixture(sums: I32, shift: int, mu: F32, components: int, mixture: F64, work: I32) -> None:
-    """Turn a network's answer and the predictions into a mixture.
+def set_mixture(
+    sums: I32, p: int, shift: int, mu: F32, to: int, components: int, mixture: F64, work: I32
+) -> int:
+    """Turn a network's answer, row ``p`` of ``sums``, and the predictions into a mixture, row ``to`` of ``mixture``; returns how many components it keeps.
 
     Args:
         sums: PLACES logits, offsets in units of the scale, log scales, all in units of ``2 ** -shift``.
-        mu: ``(PLACES,)`` predicted counts of the components, SHARED ones included.
+        mu: its row ``to`` is the predicted counts of the components, SHARED ones included.
         work: scratch, ``(2 * PLACES,)``.
     """
-    logits = load(sums, 0, 16)
+    row, m = p * sums.shape[1], np.uint64(to)
+    logits = load(sums, row, 16)
     fine = np.int32(shift - 5)  # 32 steps a unit
     depth = smaller((highest(logits) - logits) >> fine, _LAST_WEIGHT)
     store(work, 0, depth)
     low = np.int32((_LOG_SCALE_SHIFT - _LOG_SCALE_LOW) << shift)
-    store(work, 16, larger(smaller((load(sums, 32, 16) + low) >> fine, _LAST_SCALE), _ZERO))
+    store(work, 16, larger(smaller((load(sums, row + 32, 16) + low) >> fine, _LAST_SCALE), _ZERO))
     unit = 1.0 / (1 << shift)
-    total = 0.0
+    total, kept = 0.0, 0
+    for c in range(0, PLACES, 8):
+        store(mixture, to * _SIZE + _WEIGHTS + c, spread(0.0, 8))
     for c in range(components):
-        weight = WEIGHTS[np.uint64(work[c])]
-        mixture[_WEIGHTS + c] = weight
+        weight = WEIGHTS[np.uint64(work[np.uint64(c)])]
         total += weight
-        scale = np.uint64(work[16 + c])
-        offset = min(max(sums[16 + c] * unit, -_OFFSET_LIMIT), _OFFSET_LIMIT)
-        mixture[_MEANS + c] = np.float64(mu[c]) + offset * SCALES[scale, 0]
-        mixture[_INVERSES + c] = SCALES[scale, 1]
-    for c in range(0, 16, 8):
-        store(mixture, _WEIGHTS + c, load(mixture, _WEIGHTS + c, 8) / total)
+        scale = np.uint64(work[np.uint64(16 + c)])
+        offset = sums[np.uint64(p), np.uint64(16 + c)] * unit
+        offset = min(max(offset, -_OFFSET_LIMIT), _OFFSET_LIMIT)
+        mixture[m, np.uint64(_WEIGHTS + kept)] = weight
+        mixture[m, np.uint64(_MEANS + kept)] = np.float64(mu[m, np.uint64(c)]) + offset * SCALES[scale, 0]
+        mixture[m, np.uint64(_INVERSES + kept)] = SCALES[scale, 1]
+        kept += int(weight > 0.0)
+    for c in range(0, PLACES, 8):
+        at = to * _SIZE + _WEIGHTS + c
+        store(mixture, at, load(mixture, at, 8) / total)
+    return kept
 
 
 @inline
-def _below(mixture: F64, components: int, x: float, at: int, places: I32, parts: F64) -> float:
+def _below(mixture: F64, m: int, components: int, x: float, at: int, places: I32, parts: F64) -> float:
     """The share of the mixture below ``x`` counts, from 0 to 1 and a little; scratch begins at ``at``."""
     for c in range(0, 16, 8):
-        z = (x - load(mixture, _MEANS + c, 8)) * load(mixture, _INVERSES + c, 8)
+        z = (x - load(mixture, m * _SIZE + _MEANS + c, 8)) * load(mixture, m * _SIZE + _INVERSES + c, 8)
         z = (larger(smaller(z, _Z_LIMIT), -_Z_LIMIT) + _Z_LIMIT) * _Z_STEPS
         k = cast(z, np.int32)
         store(places, at + c, k)
         store(parts, at + c, z - cast(k, np.float64))
     f = 0.0
     for c in range(components):
-        k = np.uint64(places[at + c])
-        f += mixture[_WEIGHTS + c] * (LOGISTIC[k, _LOW] + parts[at + c] * LOGISTIC[k, _SLOPE])
+        k = np.uint64(places[np.uint64(at + c)])
+        f += mixture[np.uint64(m), np.uint64(_WEIGHTS + c)] * (
+            LOGISTIC[k, _LOW] + parts[np.uint64(at + c)] * LOGISTIC[k, _SLOPE]
+        )
     return f
 
 
 @inline
 def level_ends(
-    mixture: F64, components: int, level: int, step: int, levels: int, places: I32, parts: F64
+    mixture: F64, m: int, components: int, level: int, step: int, levels: int, places: I32, parts: F64
 ) -> tuple[int, int]:
-    """Return the two ends of a level in [0, TOTAL]; every level below ``levels`` keeps at least width 1.
+    """Return the two ends of a level in [0, TOTAL] by mixture ``m``; every level below ``levels`` keeps at least width 1.
 
     ``places`` (2 * PLACES,) and ``parts`` (2 * PLACES,) are scratch.
     """
     x = level * step - 0.5
-    below = _below(mixture, components, x, 0, places, parts)
-    up_to = _below(mixture, components, x + step, PLACES, places, parts)
+    below = _below(mixture, m, components, x, 0, places, parts)
+    up_to = _below(mixture, m, components, x + step, PLACES, places, parts)
     low = level + int(min(below, 1.0) * (TOTAL - levels))
     high = level + 1 + int(min(up_to, 1.0) * (TOTAL - levels))
     return 0 if level <= 0 else low, TOTAL if level + 1 >= levels else high
 
 
 @inline
-def find_level(
-    mixture: F64, components: int, target: int, step: int, levels: int, places: I32, parts: F64
-) -> tuple[int, int, int]:
-    """Return the level whose interval holds ``target``, and the interval's two ends.
-
-    The search starts at the mean of where the components have it, each by its density, and takes Newton steps; where one
-    leads out of what is left, or after many, it halves that. Levels only ever start later than those before them, so
-    the way does not matter.
-    """
-    low_half = load(mixture, _WEIGHTS, 8) * load(mixture, _INVERSES, 8)
-    high_half = load(mixture, _WEIGHTS + 8, 8) * load(mixture, _INVERSES + 8, 8)
+def _guess(mixture: F64, m: int, target: int, step: int, levels: int) -> int:
+    """Return the level at the mean of where the components of mixture ``m`` have a target, each by its density."""
+    at = m * _SIZE
+    low_half = load(mixture, at + _WEIGHTS, 8) * load(mixture, at + _INVERSES, 8)
+    high_half = load(mixture, at + _WEIGHTS + 8, 8) * load(mixture, at + _INVERSES + 8, 8)
     density = summed(0.0, low_half + high_half, 0, 8)
-    moment = low_half * load(mixture, _MEANS, 8) + high_half * load(mixture, _MEANS + 8, 8)
+    moment = low_half * load(mixture, at + _MEANS, 8) + high_half * load(mixture, at + _MEANS + 8, 8)
     quantile = _GUESSES[np.uint64(target) >> np.uint64(BITS - 8)]
     guess = ((summed(0.0, moment, 0, 8) + quantile) / density + 0.5) / step
-    first, last = 0, levels - 1
-    level = min(max(int(min(max(guess, 0.0), 1e6)), first), last)
+    return min(int(min(max(guess, 0.0), 1e6)), levels - 1)
+
+
+@inline
+def find_levels(  # type: ignore[no-untyped-def]
+    mixture, first, n, components, step, levels, search, places, parts
+):
+    """Find for each of ``n`` mixtures, from ``first`` on, the level whose interval holds its target, and the interval's two ends.
+
+    A search starts at :func:`_guess` and takes Newton steps; where one leads out of what is left, or after many, it halves that. Levels
+    only ever start later than those before them, so the way does not matter. All take their steps in turns, so that none waits for its own, and
+    without branches, which nobody foresees.
+
+    Args:
+        components: of each mixture.
+        search: int64 ``(7, n at least)``: targets in row 0; levels, their ends in rows 1, 2, 3 on return; 4 to 6 are scratch.
+    """
+    for p in range(n):
+        search[1, p] = _guess(mixture, first + p, search[0, p], step, levels)
+        search[4, p], search[5, p], search[6, p] = 0, levels - 1, p
     tries = 0
-    while True:
+    while n > 0:
         tries += 1
-        low, high = level_ends(mixture, components, level, step, levels, places, parts)
-        if target < low and level > first:
-            last = level - 1
-        elif target >= high and level < last:
-            first = level + 1
-        else:
-            return level, low, high
-        guess = level + ((target + 0.5) - low) / (high - low)
-        level = int(guess) if first <= guess < last + 1 and tries < _NEWTON else (first + last) >> 1
+        left = 0
+        for at in range(n):
+            waiting = search[6, np.uint64(at)]
+            column, m = np.uint64(waiting), first + waiting
+            target, level = search[0, column], search[1, column]
+            low, high = level_ends(mixture, m, components[m], level, step, levels, places, parts)
+            lowest, topmost = search[4, column], search[5, column]
+            before, after = target < low and level > lowest, target >= high and level < topmost
+            lowest, topmost = level + 1 if after else lowest, level - 1 if before else topmost
+            guess = level + ((target + 0.5) - low) / (high - low)
+            straight = lowest <= guess < topmost + 1 and tries < _NEWTON
+            to = int(min(max(guess, 0.0), 1e6)) if straight else (lowest + topmost) >> 1
+            search[1, column] = to if before or after else level
+            search[2, column], search[3, column], search[4, column], search[5, column] = (
+                low,
+                high,
+                lowest,
+                topmost,
+            )
+            search[6, np.uint64(left)] = waiting
+            left += int(before or after)
+        n = left

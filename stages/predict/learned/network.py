@@ -5,7 +5,7 @@ partial sum can reach 2 ** 24 (:func:`check` proves it when weights are loaded):
 order does not matter, and what a network answers is exact in float32, too.
 
 Two inputs are taken at once, for blocks of outputs side by side (:mod:`.vectors`): one instruction multiplies
-and adds 32 weights where a machine has vectors of 512 bits.
+and adds 32 weights where a machine has vectors of 512 bits. Weights are read once for POINTS points.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from salpcc.stages.predict.vectors import (
     load,
     pairs,
     smaller,
-    spread,
     store,
 )
 
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
+POINTS = 4  # that are evaluated at once: each weight is read once for all of them
 BLOCK = 16  # outputs of a layer come in multiples of it
 NEVER = -(1 << 30)  # what an output that is none answers
 _LIMIT, _ZERO = np.int32(LIMIT), np.int32(0)
@@ -178,7 +178,7 @@ def _in_blocks(weight: I32, width: int) -> I16:
     blocks, j = [], 0
     while j < width:  # as _layer takes them
         left = width - j
-        outputs = 64 if left % 64 == 0 else 48 if left >= 48 else 16
+        outputs = 32 if left >= 32 else 16
         block = wide[:, j : j + outputs].reshape(-1, 2, outputs).transpose(0, 2, 1)
         blocks.append(block.reshape(-1))
         j += outputs
@@ -195,95 +195,102 @@ def aligned(array: NDArray[Any]) -> NDArray[Any]:
 
 
 @inline
-def _four_blocks(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
-    s0, s1, s2, s3 = load(bias, b, 16), load(bias, b + 16, 16), load(bias, b + 32, 16), load(bias, b + 48, 16)
-    t0 = t1 = t2 = t3 = spread(_ZERO, 16)  # of every second pair, so that no sum waits for the one before
-    for k in range(0, inputs, 4):
-        first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
-        s0 = s0 + dot(load(weight, w, 32), first)
-        t0 = t0 + dot(load(weight, w + 128, 32), second)
-        s1 = s1 + dot(load(weight, w + 32, 32), first)
-        t1 = t1 + dot(load(weight, w + 160, 32), second)
-        s2 = s2 + dot(load(weight, w + 64, 32), first)
-        t2 = t2 + dot(load(weight, w + 192, 32), second)
-        s3 = s3 + dot(load(weight, w + 96, 32), first)
-        t3 = t3 + dot(load(weight, w + 224, 32), second)
-        w += 256
-    store(sums, j, s0 + t0)
-    store(sums, j + 16, s1 + t1)
-    store(sums, j + 32, s2 + t2)
-    store(sums, j + 48, s3 + t3)
-
-
-@inline
-def _three_blocks(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
-    s0, s1, s2 = load(bias, b, 16), load(bias, b + 16, 16), load(bias, b + 32, 16)
-    t0 = t1 = t2 = spread(_ZERO, 16)  # of every second pair, so that no sum waits for the one before
-    for k in range(0, inputs, 4):
-        first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
-        s0 = s0 + dot(load(weight, w, 32), first)
-        t0 = t0 + dot(load(weight, w + 96, 32), second)
-        s1 = s1 + dot(load(weight, w + 32, 32), first)
-        t1 = t1 + dot(load(weight, w + 128, 32), second)
-        s2 = s2 + dot(load(weight, w + 64, 32), first)
-        t2 = t2 + dot(load(weight, w + 160, 32), second)
-        w += 192
-    store(sums, j, s0 + t0)
-    store(sums, j + 16, s1 + t1)
-    store(sums, j + 32, s2 + t2)
-
-
-@inline
-def _block(bias: I32, b: int, weight: I16, w: int, x: I16, inputs: int, sums: I32, j: int) -> None:
-    s0 = load(bias, b, 16)
-    t0 = spread(_ZERO, 16)  # of every second pair, so that no sum waits for the one before
-    for k in range(0, inputs, 4):
-        first, second = pairs(x, k, 32), pairs(x, k + 2, 32)
-        s0 = s0 + dot(load(weight, w, 32), first)
-        t0 = t0 + dot(load(weight, w + 32, 32), second)
+def _two_blocks(weight: I16, w: int, x: I16, at: int, apart: int, inputs: int, sums: I32, j: int) -> None:
+    row = sums.shape[1]
+    j1, j2, j3 = j + row, j + 2 * row, j + 3 * row
+    s0, s1, s2, s3 = load(sums, j, 16), load(sums, j1, 16), load(sums, j2, 16), load(sums, j3, 16)
+    t0, t1, t2, t3 = (
+        load(sums, j + 16, 16),
+        load(sums, j1 + 16, 16),
+        load(sums, j2 + 16, 16),
+        load(sums, j3 + 16, 16),
+    )
+    for k in range(at, at + inputs, 2):
+        a, b = load(weight, w, 32), load(weight, w + 32, 32)
+        x0, x1 = pairs(x, k, 32), pairs(x, k + apart, 32)
+        x2, x3 = pairs(x, k + 2 * apart, 32), pairs(x, k + 3 * apart, 32)
+        s0 = s0 + dot(a, x0)
+        t0 = t0 + dot(b, x0)
+        s1 = s1 + dot(a, x1)
+        t1 = t1 + dot(b, x1)
+        s2 = s2 + dot(a, x2)
+        t2 = t2 + dot(b, x2)
+        s3 = s3 + dot(a, x3)
+        t3 = t3 + dot(b, x3)
         w += 64
-    store(sums, j, s0 + t0)
+    store(sums, j, s0)
+    store(sums, j + 16, t0)
+    store(sums, j1, s1)
+    store(sums, j1 + 16, t1)
+    store(sums, j2, s2)
+    store(sums, j2 + 16, t2)
+    store(sums, j3, s3)
+    store(sums, j3 + 16, t3)
 
 
 @inline
-def _layer(bias: I32, at: int, weight: I16, row: int, x: I16, inputs: int, sums: I32) -> None:
-    """Set ``sums`` to the bias from flat index ``at`` plus ``x[:inputs] @ weight``, which starts at row ``row``."""
+def _block(weight: I16, w: int, x: I16, at: int, apart: int, inputs: int, sums: I32, j: int) -> None:
+    row = sums.shape[1]
+    j1, j2, j3 = j + row, j + 2 * row, j + 3 * row
+    s0, s1, s2, s3 = load(sums, j, 16), load(sums, j1, 16), load(sums, j2, 16), load(sums, j3, 16)
+    for k in range(at, at + inputs, 2):
+        a = load(weight, w, 32)
+        s0 = s0 + dot(a, pairs(x, k, 32))
+        s1 = s1 + dot(a, pairs(x, k + apart, 32))
+        s2 = s2 + dot(a, pairs(x, k + 2 * apart, 32))
+        s3 = s3 + dot(a, pairs(x, k + 3 * apart, 32))
+        w += 32
+    store(sums, j, s0)
+    store(sums, j1, s1)
+    store(sums, j2, s2)
+    store(sums, j3, s3)
+
+
+@inline
+def _layer(weight: I16, row: int, x: I16, at: int, apart: int, inputs: int, sums: I32) -> None:
+    """Add ``x @ weight``, which starts at row ``row``, to the ``sums`` of POINTS points, whose ``inputs`` stand ``apart`` from ``x[at]`` on."""
     outputs = weight.shape[1] >> 1
     w = row * weight.shape[1]
-    j = 0
-    while j < outputs:
-        left = outputs - j
-        if left & 63 == 0:
-            _four_blocks(bias, at + j, weight, w + inputs * j, x, inputs, sums, j)
-            j += 64
-        elif left >= 48:
-            _three_blocks(bias, at + j, weight, w + inputs * j, x, inputs, sums, j)
-            j += 48
-        else:
-            _block(bias, at + j, weight, w + inputs * j, x, inputs, sums, j)
-            j += 16
+    even = outputs & -32
+    for j in range(0, even, 32):
+        _two_blocks(weight, w + inputs * j, x, at, apart, inputs, sums, j)
+    if outputs > even:
+        _block(weight, w + inputs * even, x, at, apart, inputs, sums, even)
 
 
 @inline
 def _activate(sums: I32, n: int, shift: np.int32, h: I16) -> None:
-    """``h = clip(floor(sums / 2^shift + 1/2), 0, LIMIT)``."""
+    """``h = clip(floor(sums / 2^shift + 1/2), 0, LIMIT)`` of POINTS points."""
     half = np.int32((1 << shift) >> 1)
-    for j in range(0, n, 16):
-        h_j = larger(smaller((load(sums, j, 16) + half) >> shift, _LIMIT), _ZERO)
-        store(h, j, cast(h_j, np.int16))
+    for p in range(POINTS):
+        for j in range(0, n, 16):
+            h_j = larger(smaller((load(sums, p * sums.shape[1] + j, 16) + half) >> shift, _LIMIT), _ZERO)
+            store(h, p * n + j, cast(h_j, np.int16))
 
 
 @inline
-def forward(x: I16, laser: int, layers: Layers, h: I16, sums: I32) -> None:
-    """Run the network on integer features ``x``, -LIMIT..LIMIT; ``h`` is scratch of the layers' width.
+def begin(sums: I32, p: int, bias: I32, at: int, n: int) -> None:
+    """Let the ``n`` sums of point ``p`` begin with a bias, from flat index ``at``."""
+    for j in range(0, n, 16):
+        store(sums, p * sums.shape[1] + j, load(bias, at + j, 16))
 
-    ``sums`` holds the first layer's bias on entry, the last layer's sums on return: what the network answers, in
-    units of ``1 / (SCALE * last scale)``.
+
+@inline
+def forward(x: I16, at: int, lasers: NDArray[np.int64], layers: Layers, h: I16, sums: I32) -> None:
+    """Run the network on the features of POINTS points, -LIMIT..LIMIT, rows ``at`` and after of ``x``; ``h`` ``(POINTS, width)`` is scratch.
+
+    ``sums``, a row a point, holds the first layer's biases on entry, the last layer's sums on return: what the network
+    answers, in units of ``1 / (SCALE * last scale)``. ``lasers`` are those of the rows of ``x``.
     """
-    width = layers.first.shape[1] >> 1
-    _layer(sums, 0, layers.first, 0, x, 2 * layers.first.shape[0], sums)
+    width, outputs = layers.first.shape[1] >> 1, layers.last.shape[1] >> 1
+    apart = x.shape[1]
+    _layer(layers.first, 0, x, at * apart, apart, 2 * layers.first.shape[0], sums)
     _activate(sums, width, layers.shifts[0], h)
     for layer in range(layers.hidden_bias.shape[0]):
-        _layer(layers.hidden_bias, layer * width, layers.hidden, layer * (width >> 1), h, width, sums)
+        for p in range(POINTS):
+            begin(sums, p, layers.hidden_bias, layer * width, width)
+        _layer(layers.hidden, layer * (width >> 1), h, 0, width, width, sums)
         _activate(sums, width, layers.shifts[1 + layer], h)
-    _layer(layers.last_bias, laser * layers.last_bias.shape[1], layers.last, 0, h, width, sums)
+    for p in range(POINTS):
+        begin(sums, p, layers.last_bias, lasers[at + p] * outputs, outputs)
+    _layer(layers.last, 0, h, 0, width, width, sums)

@@ -64,12 +64,12 @@ I32 = NDArray[np.int32]
 
 
 class Seen(NamedTuple):
-    """The rows k - 1, k, k + 1 of the sweep before, aligned with a ring k.
+    """The rows k - 1, k, k + 1 of the sweep before, aligned with each ring k.
 
     Attributes:
-        frames: ``(3, size)`` azimuths of their points in the frame of the ring, in ticks.
-        indices: ``(3, returns)`` of the point before each return of the ring.
-        there: ``(LANES,)`` 1 for the slots of rows that have points (:func:`slots_there`).
+        frames: ``(3 L, size)`` azimuths of their points in the frame of ring k, in ticks; row 3 k + 1 is of its own row.
+        indices: ``(3 L, returns)`` of the point before each return of ring k.
+        there: ``(L, LANES)`` 1 for the slots of rows that have points.
         weights, values: ``(LANES,)`` scratch.
     """
 
@@ -80,46 +80,39 @@ class Seen(NamedTuple):
     values: F32
 
 
-@njit(error_model="numpy")
-def see(before: WarpedSweep, returns: int) -> Seen:
-    """Make room for :class:`Seen` of rings of at most so many returns."""
-    return Seen(
-        np.zeros((3, before.azimuth.shape[1]), np.float32),
-        np.full((3, returns), PAD, np.int32),
-        np.zeros(LANES, np.float32),
-        np.zeros(LANES, np.float32),
-        np.zeros(LANES, np.float32),
-    )
-
-
 @njit(error_model="numpy", nogil=True)
-def align_seen(k, before, azimuth, m, lever, seen, unused):  # type: ignore[no-untyped-def]
-    """Align the rows around ring k with its ``m`` returns at ``azimuth``, of a laser with that lever arm."""
-    for r in range(max(k - 1, 0), min(k + 2, len(before.number))):
-        if before.number[r] > 0:
+def see(before: WarpedSweep, starts: NDArray[np.int64], azimuth: F32, constants: F32) -> Seen:
+    """Align the rows of the sweep before with all rings."""
+    n_rings = len(starts) - 1
+    frames = np.zeros((3 * n_rings, before.azimuth.shape[1]), np.float32)
+    indices = np.full((3 * n_rings, azimuth.shape[1]), PAD, np.int32)
+    there = np.zeros((n_rings, LANES), np.float32)
+    unused = np.zeros(azimuth.shape[1], np.float32)
+    for k in range(n_rings):
+        m = starts[k + 1] - starts[k]
+        for r in range(3):
+            row = k - 1 + r
+            if row < 0 or row >= n_rings or before.number[row] == 0:
+                continue
+            first = 0 if r == 0 else NEXT if r == 1 else NEXT + OWN
+            there[k, first : first + (OWN if r == 1 else NEXT)] = _ONE
             align(
-                before.azimuth[r], before.inverse[r], before.number[r], -lever, azimuth, m,
-                seen.frames[r - k + 1], seen.indices[r - k + 1], unused,
+                before.azimuth[row], before.inverse[row], before.number[row], -constants[k, 4], azimuth[k], m,
+                frames[3 * k + r], indices[3 * k + r], unused,
             )  # fmt: skip
+    return Seen(frames, indices, there, np.zeros(LANES, np.float32), np.zeros(LANES, np.float32))
 
 
 @inline
-def slots_there(k: int, number: NDArray[np.int64], there: F32) -> None:
-    """Mark with 1 the slots, ``(LANES,)``, of the rows around ring k that have points."""
-    for s in range(LANES):
-        row = k - 1 if s < NEXT else k if s < NEXT + OWN else k + 1
-        there[s] = _ONE if s < SLOTS and 0 <= row < len(number) and number[row] > 0 else _ZERO
-
-
-@inline
-def _slots(i: int, k: int, rows: F32, indices: I32) -> Lanes:
-    """Lanes of the points around return i: four of row k - 1, six of row k, four of row k + 1."""
+def _slots(i: int, k: int, rows: F32, row: int, indices: I32) -> Lanes:
+    """Lanes of the points around return i of ring k: four of the row before ``row``, six of that, four of the one after it."""
     last = rows.shape[0] - 1
     width = rows.shape[1]
-    up, own, down = max(k - 1, 0) * width, k * width, min(k + 1, last) * width
-    own += indices[1, i] - OWN // 2 + 1
-    first = splice(load(rows, up + indices[0, i] - 1, 8), load(rows, own - 4, 8), 4)
-    second = splice(load(rows, own + 4, 8), load(rows, down + indices[2, i] - 3, 8), 2)
+    up, own, down = max(row - 1, 0) * width, row * width, min(row + 1, last) * width
+    at, to = np.uint64(3 * k), np.uint64(i)
+    own += indices[at + np.uint64(1), to] - OWN // 2 + 1
+    first = splice(load(rows, up + indices[at, to] - 1, 8), load(rows, own - 4, 8), 4)
+    second = splice(load(rows, own + 4, 8), load(rows, down + indices[at + np.uint64(2), to] - 3, 8), 2)
     return join(first, second)
 
 
@@ -130,26 +123,29 @@ def gather(i, k, a, before, seen):  # type: ignore[no-untyped-def]
     U in firings (two ticks), V in rows; weight 0 where there is no point. ``before`` is a :class:`.previous_sweep.WarpedSweep`,
     ``seen`` a :class:`Seen`.
     """
-    some = load(seen.there, 0, 16) > _ZERO
+    some = load(seen.there, k * LANES, 16) > _ZERO
     nothing = spread(_ZERO, 16)
     cone = before.cones[k]
-    w = choose(some, _slots(i, k, before.inverse, seen.indices), spread(_ONE, 16))
-    u = choose(some, (_slots(i, 1, seen.frames, seen.indices) - a) * _HALF, nothing)
-    v = choose(some, (_slots(i, k, before.height, seen.indices) - w * cone[0] - cone[1]) * cone[2], nothing)
-    value = choose(some, _slots(i, k, before.intensity, seen.indices), spread(intensities.NONE, 16))
+    w = choose(some, _slots(i, k, before.inverse, k, seen.indices), spread(_ONE, 16))
+    u = choose(some, (_slots(i, k, seen.frames, 3 * k + 1, seen.indices) - a) * _HALF, nothing)
+    v = choose(
+        some, (_slots(i, k, before.height, k, seen.indices) - w * cone[0] - cone[1]) * cone[2], nothing
+    )
+    value = choose(some, _slots(i, k, before.intensity, k, seen.indices), spread(intensities.NONE, 16))
     q = u * u + v * v * _ROW + _SPREAD
     return u, v, w, choose(some, _ONE / (q * q), nothing), value
 
 
 @inline
 def previous_features(  # type: ignore[no-untyped-def]
-    w1, tight, slope_u, slope_v, base, laser, slots, before, error0, above, j1, x, counts
+    w1, tight, slope_u, slope_v, base, laser, slots, before, error0, above, at, errors, x, to, counts
 ):
-    """Fill the inputs ``x`` from features.END on; return ``counts`` with PREDICTORS more of its lanes filled.
+    """Fill the inputs from ``x[to + features.END]`` on; return ``counts`` with PREDICTORS more of its lanes filled.
 
     Residuals are those of the slots to the base plane of :func:`.range_features.point_features`, in units of 16 counts. The
     predictors: the base plane moved by the residuals' mean, weighted by nearness; the same, robust; the first,
-    moved by its own error at the return to the left, ``before``. ``above`` is the ring above, ``j1`` its return there.
+    moved by its own error at the return to the left, ``before``. ``above``: whether there is a ring above, with errors of its
+    return there from flat index ``at`` of ``errors`` on.
     """
     u, v, w, weight, _ = slots
     per_w = laser.quotient / (base * base) * _UNIT
@@ -167,7 +163,7 @@ def previous_features(  # type: ignore[no-untyped-def]
     first = laser.quotient / min(max(base + near * slope, _FAR), _NEAR) - laser.offset
     second = laser.quotient / min(max(base + robust_near * slope, _FAR), _NEAR) - laser.offset
     own = lane(weight, NEXT) > _ZERO
-    store(x, _RESIDUALS, rounded(squash(r)))
+    store(x, to + _RESIDUALS, rounded(squash(r)))
     others = of(
         (first - centre) * _UNIT,
         (second - centre) * _UNIT,
@@ -178,16 +174,16 @@ def previous_features(  # type: ignore[no-untyped-def]
         lane(v, NEXT + OWN // 2),
         apart / total,
     )
-    store(x, _OFFSETS, rounded(squash(others)))
+    store(x, to + _OFFSETS, rounded(squash(others)))
     over = spread(NO_ERROR, 16)
-    if above.there:
-        over = (load(above.error, j1 * 16, 16) + load(above.error, j1 * 16 + 16, 16)) * _HALF
+    if above:
+        over = (load(errors, at, 16) + load(errors, at + 16, 16)) * _HALF
     rest = of(
         lane(error0, 10), lane(error0, 11), lane(error0, 12), lane(over, 10), lane(over, 11), lane(over, 12),
         total / (total + _ONE), robust_total / (total + _ONE), _ONE if own else _ZERO,
         _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO,
     )  # fmt: skip
-    store(x, _REST, rounded(rest))
+    store(x, to + _REST, rounded(rest))
     more = of(
         _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO,
         first, second, first + before, centre, lane(counts, 0), _ZERO,
@@ -196,8 +192,8 @@ def previous_features(  # type: ignore[no-untyped-def]
 
 
 @inline
-def previous_intensity(w0, quotient, slots, seen, activity, bias, x):  # type: ignore[no-untyped-def]
-    """Fill the inputs ``x`` from intensity_features.END on; of ``seen``, weights and values are scratch.
+def previous_intensity(w0, quotient, slots, seen, activity, bias, x, to):  # type: ignore[no-untyped-def]
+    """Fill the inputs from ``x[to + intensity_features.END]`` on; of ``seen``, weights and values are scratch.
 
     Returns the intensity of the nearest slot, in azimuth, elevation and range together, and the
     weighted mean.
@@ -223,7 +219,7 @@ def previous_intensity(w0, quotient, slots, seen, activity, bias, x):  # type: i
         mean * _PER_STEP, apart / total * _PER_STEP * _TWO, activity * _PER_STEP * _TWO, bias * _PER_STEP * _TWO,
         total / (total + _ONE), _ONE if seen.weights[NEXT] > _ZERO else _ZERO, most / (most + _ONE), _ZERO,
     )  # fmt: skip
-    store(x, intensities.END, rounded(squash(near)))
-    store(x, intensities.END + 8, rounded(shown))
-    store(x, intensities.END + 16, rounded(rest))
+    store(x, to + intensities.END, rounded(squash(near)))
+    store(x, to + intensities.END + 8, rounded(shown))
+    store(x, to + intensities.END + 16, rounded(rest))
     return best, mean

@@ -14,9 +14,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.learned.local_plane import LEFT, SECOND, UPPER, around, fit_plane, residuals, weigh
+from salpcc.stages.predict.learned.local_plane import (
+    LEFT,
+    SECOND,
+    UPPER,
+    fit_plane,
+    residuals,
+    slots_around,
+    weigh,
+)
 from salpcc.stages.predict.ring_rows import PAD
 from salpcc.stages.predict.vectors import (
     Lanes,
@@ -42,7 +51,6 @@ INPUTS = 72
 SCALE_BITS = 7
 SCALE = 128.0  # one unit of a feature, in steps of the integer network
 LIMIT = 1023.0
-GAPS = 8  # features that do not depend on the return before
 
 # Where the features stand among the inputs of the network; gaps and residuals first.
 _RESIDUALS, _OFFSETS, _GAPS, _ERRORS, _ERRORS_ABOVE, _REST, END = 0, 24, 38, 46, 56, 66, 76
@@ -74,22 +82,22 @@ I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
 
-class RingAbove(NamedTuple):
-    """A ring above as the returns of the current one see it; meaningless where ``there`` is not.
+class Rings(NamedTuple):
+    """All rings of a sweep, each at ``[PAD, PAD + n)`` of its row of ``size`` places, margins cyclic on the right, on the left more of the first return.
 
     Attributes:
-        frame, inverse: ``(size,)`` azimuths in ticks in the frame of the current laser, inverse ranges.
-        error: ``(size, 16)`` squashed errors of the predictors at its returns.
-        near, value: ``(size,)`` by return of the current ring: its return before that, its inverse range there.
-        there: whether it has returns.
+        azimuth, inverse: ``(L, size)`` in ticks, inverse horizontal ranges in 1/m.
+        error: ``(L, size, 16)`` squashed errors of the predictors.
+        above, second: ``(L, size)`` azimuths of the ring above and of the one above that, in the frame of the ring.
+        value: ``(L, size)`` inverse range of the ring above at the ring's own returns.
     """
 
-    frame: F32
+    azimuth: F32
     inverse: F32
     error: F32
-    near: I32
+    above: F32
+    second: F32
     value: F32
-    there: bool
 
 
 class Laser(NamedTuple):
@@ -104,11 +112,23 @@ class Laser(NamedTuple):
     step: np.float32
 
 
-class Slots(NamedTuple):
-    """What :func:`slot_places` and :func:`ring_gaps` make of a ring: ``(LEFT + 1, 32)`` and ``(size, GAPS)``."""
+class Around(NamedTuple):
+    """Where a return stands and what is above it.
 
-    places: F32
-    gaps: I16
+    Attributes:
+        ring, i: return i of a ring.
+        above, second: whether the ring above, and the one above that, have returns.
+        near, near2: places of their last returns that are not after it.
+        value2: inverse range of the second ring there.
+    """
+
+    ring: int
+    i: int
+    above: bool
+    second: bool
+    near: int
+    near2: int
+    value2: np.float32
 
 
 @inline
@@ -124,73 +144,75 @@ def rounded(x: Lanes) -> Lanes:
     return cast(whole(larger(smaller(x * _SCALE + _HALF, _LIMIT), -_LIMIT)), np.int16)
 
 
-@inline
-def slot_places(has1: bool, has2: bool, places: F32) -> None:
-    """Fill ``(LEFT + 1, 32)`` weights of the slots by how many returns there are to the left, before nearness."""
-    for n in range(LEFT + 1):
-        for k in range(32):
-            if k < LEFT:
-                there = k >= LEFT - n
-            elif k < LEFT + UPPER:
-                there = has1
-            else:
-                there = has2 and k < LEFT + UPPER + SECOND
-            places[n, k] = _ZERO if not there else _ONE if k < LEFT + UPPER else _HALF
+@njit(cache=True, error_model="numpy")
+def slot_places() -> F32:
+    """Return ``(3, LEFT + 1, 32)`` weights of the slots, before nearness, by how many rings and how many returns to the left there are."""
+    places = np.zeros((3, LEFT + 1, 32), np.float32)
+    for above in range(3):
+        for n in range(LEFT + 1):
+            places[above, n, LEFT - n : LEFT] = _ONE
+            if above > 0:
+                places[above, n, LEFT : LEFT + UPPER] = _ONE
+            if above > 1:
+                places[above, n, LEFT + UPPER : LEFT + UPPER + SECOND] = _HALF
+    return places
 
 
 @inline
-def ring_gaps(m: int, azimuth: F32, above: RingAbove, second: RingAbove, gaps: I16) -> None:
-    """Fill the features of all ``m`` returns of a ring that do not depend on ranges, ``gaps`` (m, GAPS)."""
-    for i in range(m):
-        c = PAD + i
-        a = azimuth[c]
-        before = (a - azimuth[c - 1]) * _HALF - _ONE if i > 0 else _GAP
-        after = (azimuth[c + 1] - a) * _HALF - _ONE if i + 1 < m else _ZERO
-        then = (azimuth[c + 2] - azimuth[c + 1]) * _HALF - _ONE if i + 2 < m else _ZERO
-        j1, j2 = above.near[i], second.near[i]
-        left = (a - above.frame[j1]) * _HALF if above.there else _GAP
-        right = (above.frame[j1 + 1] - a) * _HALF if above.there else _GAP
-        apart = (second.frame[j2 + 1] - second.frame[j2]) * _HALF - _ONE if second.there else _GAP
-        x = squash(of(before, after, left, right, apart, then, _ZERO, _ZERO))
-        there = of(_ONE if above.there else _ZERO, _ONE if second.there else _ZERO)
-        store(gaps, i * GAPS, rounded(splice(x, join(join(there, there), join(there, there)), 6)))
+def _gaps(at: int, a: np.float32, n: int, around: Around, rings: Rings) -> Lanes:
+    """Features of a return at flat index ``at``, azimuth ``a``, of a ring of ``n`` that do not depend on ranges to the left."""
+    azimuths = load(rings.azimuth, at - 1, 4)
+    before = (a - lane(azimuths, 0)) * _HALF - _ONE if around.i > 0 else _GAP
+    after = (lane(azimuths, 2) - a) * _HALF - _ONE if around.i + 1 < n else _ZERO
+    then = (lane(azimuths, 3) - lane(azimuths, 2)) * _HALF - _ONE if around.i + 2 < n else _ZERO
+    row = around.ring * rings.azimuth.shape[1]
+    above, second = load(rings.above, row + around.near, 2), load(rings.second, row + around.near2, 2)
+    left = (a - lane(above, 0)) * _HALF if around.above else _GAP
+    right = (lane(above, 1) - a) * _HALF if around.above else _GAP
+    apart = (lane(second, 1) - lane(second, 0)) * _HALF - _ONE if around.second else _GAP
+    x = squash(of(before, after, left, right, apart, then, _ZERO, _ZERO))
+    there = of(_ONE if around.above else _ZERO, _ONE if around.second else _ZERO)
+    return rounded(splice(x, join(join(there, there), join(there, there)), 6))
 
 
 @inline
-def point_features(i, azimuth, left, first, second, laser, slots, error0, x):  # type: ignore[no-untyped-def]
-    """Fill the inputs ``x`` (END,) of return i and return its predictions.
-
-    Rings stand at ``[PAD, PAD + n)``.
+def point_features(around, n, rings, laser, places, error0, x, to):  # type: ignore[no-untyped-def]
+    """Fill the inputs of a return, from flat index ``to`` of ``x``, and return its predictions.
 
     Args:
-        left: eight lanes, inverse ranges of the returns to the left, the nearest last.
-        first, second: :class:`RingAbove`, the one above that.
-        laser, slots: :class:`Laser`, :class:`Slots`.
+        around: :class:`Around`, in a ring of ``n``.
+        rings: :class:`Rings`.
+        laser, places: :class:`Laser`, of :func:`slot_places`.
         error0: lanes, the running squashed errors of the predictors to the left.
 
     Returns:
         w1, the base plane's height over it and slopes, and the base: what :mod:`.previous_features` needs; and the
         predicted counts, PREDICTORS of 16 lanes.
     """
-    c = PAD + i
-    a = azimuth[c]
+    i, size = around.i, rings.azimuth.shape[1]
+    row = around.ring * size
+    row1, row2 = max(row - size, 0), max(row - 2 * size, 0)
+    c = row + PAD + i
+    left, azimuths = load(rings.inverse, c - LEFT, 8), load(rings.azimuth, c - LEFT, 8)
+    a = rings.azimuth[np.uint64(around.ring), np.uint64(PAD + i)]
+    values = load(rings.value, c - 4, 8)
     n_left = min(i, LEFT)
     if i > 0:
         w1 = lane(left, 7)
-    elif first.there:
-        w1 = first.value[i]
+    elif around.above:
+        w1 = lane(values, 4)
     else:
         w1 = _START
-    up = first.value[i] if first.there else w1
-    top = second.value[i] if second.there else up
+    up = lane(values, 4) if around.above else w1
+    top = around.value2 if around.second else up
     shift1 = up - w1
     shift2 = top - w1
-    j1, j2 = first.near[i], second.near[i]
-    o1, o2 = j1 - UPPER // 2 + 1, j2 - SECOND // 2 + 1
-    u = (around(load(azimuth, c - LEFT, 8), first.frame, o1, second.frame, o2) - a) * _HALF
-    d = around(left, first.inverse, o1, second.inverse, o2) - w1
+    o1, o2 = around.near - UPPER // 2 + 1, around.near2 - SECOND // 2 + 1
+    u = (slots_around(azimuths, rings.above, row + o1, rings.second, row + o2) - a) * _HALF
+    d = slots_around(left, rings.inverse, row1 + o1, rings.inverse, row2 + o2) - w1
     uu, ud = u * u, u * d
-    place = load(slots.places, n_left * 32, 32)
+    known = int(around.above) + int(around.second)
+    place = load(places, (known * (LEFT + 1) + n_left) * 32, 32)
     present = place > _ZERO
     place = place / (uu * _SLOT_DECAY + _ONE)
     noise = _NOISE * w1 * w1
@@ -209,15 +231,15 @@ def point_features(i, azimuth, left, first, second, laser, slots, error0, x):  #
     d2, d4 = lane(d, LEFT - 2), lane(d, LEFT - 4)
     along, bent, moved, mean = w1, w1, w1, up
     if i >= 2:
-        span = max(azimuth[c - 1] - azimuth[c - 2], _ONE)
-        along = w1 - d2 * ((a - azimuth[c - 1]) / span)
+        span = max(lane(azimuths, 7) - lane(azimuths, 6), _ONE)
+        along = w1 - d2 * ((a - lane(azimuths, 7)) / span)
     if i >= 4:
         bent = w1 + (d2 - d4) * _HALF
-    if i >= 1 and first.there:
-        moved = w1 + (up - first.value[i - 1])
-    if i >= 4 and first.there:
+    if i >= 1 and around.above:
+        moved = w1 + (up - lane(values, 3))
+    if i >= 4 and around.above:
         g = (d2 + lane(d, LEFT - 3)) + d4
-        v = (first.value[i - 1] + first.value[i - 2]) + (first.value[i - 3] + first.value[i - 4])
+        v = (lane(values, 3) + lane(values, 2)) + (lane(values, 1) + lane(values, 0))
         mean = w1 + (up + (g - v) * _QUARTER)
     over = up + (up - top) / max(laser.height2 - _ONE, _QUARTER)
     guesses = of(
@@ -226,23 +248,24 @@ def point_features(i, azimuth, left, first, second, laser, slots, error0, x):  #
     counts = laser.quotient / larger(smaller(guesses, _NEAR), _FAR) - laser.offset
     per_w = laser.quotient / (base * base) * _UNIT  # counts fall by quotient / base^2 per unit of w
     off = residuals(u, d, laser.height2, tight, slope_u, slope_v) * per_w
-    store(x, _RESIDUALS, rounded(squash(choose(present, off, spread(_ZERO, 32)))))
+    store(x, to + _RESIDUALS, rounded(squash(choose(present, off, spread(_ZERO, 32)))))
     others = of(
         _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO,
         slope_u * per_w, slope_v * per_w, shift1 * per_w, shift2 * per_w, _ZERO, _ZERO, _ZERO,
     )  # fmt: skip
-    store(x, _OFFSETS, rounded(squash(splice((counts - lane(counts, 9)) * _UNIT, others, 9))))
-    store(x, _GAPS, load(slots.gaps, i * GAPS, GAPS))
-    store(x, _ERRORS, rounded(error0))
+    store(x, to + _OFFSETS, rounded(squash(splice((counts - lane(counts, 9)) * _UNIT, others, 9))))
+    store(x, to + _GAPS, _gaps(c, a, n, around, rings))
+    store(x, to + _ERRORS, rounded(error0))
     above = spread(NO_ERROR, 16)
-    if first.there:
-        above = (load(first.error, j1 * 16, 16) + load(first.error, j1 * 16 + 16, 16)) * _HALF
-    store(x, _ERRORS_ABOVE, rounded(above))
+    if around.above:
+        at = (row1 + around.near) * 16
+        above = (load(rings.error, at, 16) + load(rings.error, at + 16, 16)) * _HALF
+    store(x, to + _ERRORS_ABOVE, rounded(above))
     rest = of(
         np.float32(n_left) * _EIGHTH, np.sqrt(_ONE / base) * _HALF, np.sqrt(base) * _FOUR, laser.step,
         sum_tight * _QUARTER, sum_left * _QUARTER, sum_up * _QUARTER, _ZERO,
     )  # fmt: skip
-    store(x, _REST, rounded(rest))
+    store(x, to + _REST, rounded(rest))
     return w1, tight, slope_u, slope_v, base, counts
 
 

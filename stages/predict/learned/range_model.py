@@ -1,7 +1,7 @@
 """Predict the range levels of a sweep with the learned mixture; encoder and decoder are one walk.
 
-Stream: the number of levels (3 bytes, little endian), then one interval of 2 ** 24 per return in
-firing order, coded by :mod:`salpcc.stages.entropy.range_coder`.
+Stream: the number of levels (3 bytes, little endian), then one interval of 2 ** 24 per return, wave after wave
+(:mod:`.walks`), coded by :mod:`salpcc.stages.entropy.intervals`.
 """
 
 from __future__ import annotations
@@ -12,54 +12,61 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import decode_interval, decode_target
+from salpcc.stages.entropy.intervals import STATES, take, target
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.predict.learned.local_plane import LEFT
+from salpcc.stages.predict.learned.local_plane import SECOND, UPPER
 from salpcc.stages.predict.learned.mixture import (
-    BITS,
     PLACES,
     SHARED,
-    find_level,
+    find_levels,
     level_ends,
     output_places,
     set_mixture,
 )
-from salpcc.stages.predict.learned.network import Layers, Network, forward, pack
+from salpcc.stages.predict.learned.network import POINTS, Layers, Network, begin, forward, pack
 from salpcc.stages.predict.learned.previous_features import (
     INPUT_PLACES,
-    align_seen,
     gather,
     previous_features,
     see,
-    slots_there,
 )
 from salpcc.stages.predict.learned.previous_features import INPUTS as PREVIOUS_INPUTS
 from salpcc.stages.predict.learned.previous_features import PREDICTORS as PREVIOUS_PREDICTORS
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.learned.range_features import (
-    GAPS,
     INPUTS,
     NO_ERROR,
     PREDICTORS,
     SCALE_BITS,
+    Around,
     Laser,
-    RingAbove,
-    Slots,
+    Rings,
     point_features,
-    ring_gaps,
     slot_places,
     squashed_errors,
 )
-from salpcc.stages.predict.learned.walks import COLLECT, DECODE, NO_ROWS, PREDICT, Rows, to_decode, to_predict
-from salpcc.stages.predict.ring_rows import PAD, align, close_ring, row_size
-from salpcc.stages.predict.sweep_walk import height_ratio, laser_constants, longest_ring, step_feature
-from salpcc.stages.predict.vectors import kernel, lane, load, pick, push, spread, store
+from salpcc.stages.predict.learned.walks import (
+    COLLECT,
+    DECODE,
+    NO_ROWS,
+    PREDICT,
+    RINGS,
+    Rows,
+    places,
+    to_decode,
+    to_predict,
+)
+from salpcc.stages.predict.ring_rows import PAD, across, follow, lever_ticks, place_azimuths, row_size
+from salpcc.stages.predict.sweep_walk import height_ratio, laser_constants, step_feature
+from salpcc.stages.predict.vectors import inline, kernel, lane, load, pick, store
 
 LEVEL_LIMIT = 1 << 17  # levels of a sweep; a return beyond cannot be coded here
 HEADER = 3
-_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_HALF, _ONE = np.float32(0.5), np.float32(1.0)
+_FIRING, _TURN = np.float32(2.0), np.float32(4000.0)  # ticks
 
 F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
 
 
 class _Levels(NamedTuple):
@@ -71,178 +78,280 @@ class _Levels(NamedTuple):
     constants: F32
 
 
-class _Ring(NamedTuple):
-    """The ring at hand, margins cyclic: ``(size,)`` azimuths, inverse ranges, ``(size, 16)`` squashed errors."""
+class _Reached(NamedTuple):
+    """How far the walk has come in each ring.
 
-    azimuth: F32
-    inverse: F32
+    Attributes:
+        n: ``(L,)`` returns that are known.
+        near: ``(L, 2)`` places of the last returns of the two rings above that are not after the ring's next one.
+        value2: ``(L,)`` inverse range of the second ring at the next return.
+        error: ``(L, 16)`` running squashed errors; signed: ``(L,)`` error of the first predictor by the sweep before.
+    """
+
+    n: I64
+    near: I64
+    value2: F32
     error: F32
+    signed: F32
+
+
+class _Sweep(NamedTuple):
+    """A sweep on the way: where its rings start ``(L + 1,)``, the rings, how far the walk has come, and what is the same for all returns of a ring.
+
+    Attributes:
+        levers: ``(L, 2)`` by how many ticks, per inverse range, the two rings above are moved into the frame of a ring.
+        heights: ``(L,)`` of :class:`.range_features.Laser`; places: of :func:`.range_features.slot_places`.
+    """
+
+    starts: I64
+    rings: Rings
+    reached: _Reached
+    levers: F32
+    heights: F32
+    places: F32
 
 
 class _Scratch(NamedTuple):
-    """Room for one return: inputs, hidden values and sums of the network, predictions, and what the mixture needs."""
+    """Room for a wave: a row for each return's inputs, mixture and predictions; for those that the network takes at once, and for one mixture."""
 
     x: NDArray[np.int16]
+    mixture: NDArray[np.float64]
+    kept: I64
+    predicted: F32
     hidden: NDArray[np.int16]
     sums: NDArray[np.int32]
-    predicted: F32
-    mixture: NDArray[np.float64]
+    search: I64
     whole: NDArray[np.int32]
     parts: NDArray[np.float64]
 
 
-@kernel
-def _walk_ring(  # type: ignore[no-untyped-def]
-    mode, k, lo, m, levels, layers, coded, rows, row, ring, above, second, slots, scratch, before, seen
-):
-    """Visit the returns of ring k, ``lo`` to ``lo + m``; return how many rows there are now."""
-    level, step, number, constants = levels
-    azimuth, inverse, errors = ring
-    x, h, sums, mu, mixture, whole, parts = scratch
-    height2, step_value = np.float32(height_ratio(constants, k)), np.float32(step_feature(step))
-    laser = Laser(constants[k, 0], constants[k, 1], height2, step_value)
-    middle = np.float32((step - 1) * 0.5)
+@inline
+def _see(k: int, starts: I64, rings: Rings, reached: _Reached) -> bool:
+    """Find what is above the next return of ring k, which has one; whether all that it is predicted from is known."""
+    ring, i = np.uint64(k), reached.n[np.uint64(k)]
+    a = rings.azimuth[ring, np.uint64(PAD + i)]
+    n = 0 if k < 1 else starts[k] - starts[k - 1]
+    if n == 0:
+        return True
+    known = reached.n[np.uint64(k - 1)]
+    j = follow(rings.above, k, reached.near[ring, 0], PAD + known, a)
+    reached.near[ring, 0] = j
+    if known < n and j + UPPER // 2 >= PAD + known:
+        return False
+    n2 = 0 if k < 2 else starts[k - 1] - starts[k - 2]
+    if n2 > 0:
+        known = reached.n[np.uint64(k - 2)]
+        j2 = follow(rings.second, k, reached.near[ring, 1], PAD + known, a)
+        reached.near[ring, 1] = j2
+        if known < n2 and j2 + SECOND // 2 >= PAD + known:
+            return False
+        reached.value2[ring] = across(rings.second, k, rings.inverse, k - 2, j2, a)
+    rings.value[ring, np.uint64(PAD + i)] = across(rings.above, k, rings.inverse, k - 1, j, a)
+    return True
+
+
+@inline
+def _learn(k, n, actual, error, rings, reached, levers, laser):  # type: ignore[no-untyped-def]
+    """Let ring k of n returns know its next one, ``actual`` counts, whose predictors have errors."""
+    ring, i = np.uint64(k), reached.n[np.uint64(k)]
+    w = laser.quotient / max(actual + laser.offset, _ONE)
+    at = PAD + i
+    _place(k, at, rings.azimuth[ring, np.uint64(at)], w, error, rings, levers)
+    reached.n[ring] = i + 1
+    if i == 0:
+        for p in range(PAD - 1, -1, -1):
+            a = rings.azimuth[ring, np.uint64(p + 1)] - _FIRING
+            rings.azimuth[ring, np.uint64(p)] = a
+            _place(k, p, a, w, error, rings, levers)
+    if i + 1 == n:
+        for p in range(PAD):
+            first = PAD + p % n
+            a = rings.azimuth[ring, np.uint64(first)] + np.float32(1 + p // n) * _TURN
+            rings.azimuth[ring, np.uint64(PAD + n + p)] = a
+            _place(k, PAD + n + p, a, rings.inverse[ring, np.uint64(first)], error, rings, levers)
+
+
+@inline
+def _place(k, at, a, w, error, rings, levers):  # type: ignore[no-untyped-def]
+    """Let a return of ring k, or a copy of it in a margin, stand at a place, and in the frames of the two rings below."""
+    ring, place = np.uint64(k), np.uint64(at)
+    rings.inverse[ring, place] = w
+    store(rings.error, (k * rings.azimuth.shape[1] + at) * 16, error)
+    if k + 1 < rings.azimuth.shape[0]:
+        rings.above[np.uint64(k + 1), place] = a + levers[np.uint64(k + 1), 0] * w
+    if k + 2 < rings.azimuth.shape[0]:
+        rings.second[np.uint64(k + 2), place] = a + levers[np.uint64(k + 2), 1] * w
+
+
+@inline
+def _next_wave(top: int, sweep: _Sweep, wave: I64) -> tuple[int, int]:
+    """Fill ``wave`` with the rings of the next one; the first ring that has returns left, from ``top`` on, and how many rings."""
+    starts, reached = sweep.starts, sweep.reached
+    n = begun = 0
+    while reached.n[np.uint64(top)] == starts[top + 1] - starts[top]:
+        top += 1
+    for k in range(top, len(starts) - 1):
+        if reached.n[np.uint64(k)] < starts[k + 1] - starts[k]:
+            begun += 1
+            if _see(k, starts, sweep.rings, reached):
+                wave[n] = k
+                n += 1
+            if begun == RINGS:
+                break
+    return top, n
+
+
+@inline
+def _predict(p, k, sweep, laser, scratch, before, seen):  # type: ignore[no-untyped-def]
+    """Fill row p of the inputs and of the predictions with those of the next return of ring k."""
+    starts, rings, reached = sweep.starts, sweep.rings, sweep.reached
+    ring = np.uint64(k)
+    above = k > 0 and starts[k - 1] < starts[k]
+    second = above and k > 1 and starts[k - 2] < starts[k - 1]
+    near, i = reached.near[ring, 0], reached.n[ring]
+    around = Around(k, i, above, second, near, reached.near[ring, 1], reached.value2[ring])
+    error0, to = load(reached.error, k * 16, 16), p * scratch.x.shape[1]
+    w1, tight, slope_u, slope_v, base, counts = point_features(
+        around, starts[k + 1] - starts[k], rings, laser, sweep.places, error0, scratch.x, to
+    )
+    if before is None:
+        counts = pick(counts, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 0, 0, 0, 0, 0)
+    else:
+        seen_there = gather(i, k, rings.azimuth[ring, np.uint64(PAD + i)], before, seen)
+        at = (max(k - 1, 0) * rings.azimuth.shape[1] + near) * 16
+        counts = previous_features(
+            w1, tight, slope_u, slope_v, base, laser, seen_there, reached.signed[ring], error0, above, at,
+            rings.error, scratch.x, to, counts,
+        )  # fmt: skip
+    store(scratch.predicted, p * PLACES, counts)
+
+
+@inline
+def _weigh(n, wave, layers, components, scratch):  # type: ignore[no-untyped-def]
+    """Ask the network for the mixtures of a wave of n."""
+    width, sums = layers.first.shape[1] >> 1, scratch.sums
     shift = layers.shifts[len(layers.shifts) - 1] + SCALE_BITS
-    left, error0, signed = spread(_ZERO, 8), spread(NO_ERROR, 16), _ZERO
+    for q in range(0, n, POINTS):
+        for p in range(POINTS):
+            begin(sums, p, layers.tables, wave[q + p] * width, width)
+        forward(scratch.x, q, wave, layers, scratch.hidden, sums)
+        for p in range(min(POINTS, n - q)):
+            scratch.kept[q + p] = set_mixture(
+                sums, p, shift, scratch.predicted, q + p, components, scratch.mixture, scratch.whole
+            )
+
+
+@inline
+def _decode(n, done, wave, sweep, levels, coded, scratch):  # type: ignore[no-untyped-def]
+    """Decode the levels of a wave of n, ``done`` in all before."""
+    search = scratch.search
+    for q in range(0, n, STATES):
+        some = min(STATES, n - q)
+        for p in range(some):
+            search[0, p] = target(coded.state, done + q + p)
+        find_levels(
+            scratch.mixture,
+            q,
+            some,
+            scratch.kept,
+            levels.step,
+            levels.number,
+            search,
+            scratch.whole,
+            scratch.parts,
+        )
+        for p in range(some):
+            k = wave[q + p]
+            levels.level[sweep.starts[k] + sweep.reached.n[np.uint64(k)]] = search[1, p]
+            take(coded.state, coded.words, done + q + p, search[2, p], search[3, p] - search[2, p])
+
+
+@kernel
+def _walk(mode, sweep, levels, layers, coded, rows, wave, scratch, before, seen):  # type: ignore[no-untyped-def]
+    """Visit all returns, wave after wave."""
+    level, step, number, constants = levels
+    starts, reached, mu = sweep.starts, sweep.reached, scratch.predicted
+    step_value, middle = np.float32(step_feature(step)), np.float32((step - 1) * 0.5)
     components = PREDICTORS + len(SHARED)
     if before is not None:
         components += PREVIOUS_PREDICTORS
-        slots_there(k, before.number, seen.there)
-    for i in range(m):
-        w1, tight, slope_u, slope_v, base, counts = point_features(
-            i, azimuth, left, above, second, laser, slots, error0, x
-        )
-        if before is None:
-            counts = pick(counts, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 0, 0, 0, 0, 0)
-        else:
-            around = gather(i, k, azimuth[PAD + i], before, seen)
-            counts = previous_features(
-                w1,
-                tight,
-                slope_u,
-                slope_v,
-                base,
-                laser,
-                around,
-                signed,
-                error0,
-                above,
-                above.near[i],
-                x,
-                counts,
-            )
-        store(mu, 0, counts)
-        value = 0
-        if mode == COLLECT:
-            value = int(level[lo + i])
-        else:
-            width = layers.first.shape[1] >> 1
-            for j in range(0, width, 16):
-                store(sums, j, load(layers.tables, k * width + j, 16))
-            forward(x, k, layers, h, sums)
-            set_mixture(sums, shift, mu, components, mixture, whole)
-            if mode == DECODE:
-                target = decode_target(coded.state, BITS)
-                value, low, high = find_level(mixture, components, target, step, number, whole, parts)
-                decode_interval(coded.state, coded.data, low, high - low, BITS)
-                level[lo + i] = value
-            else:
-                value = int(level[lo + i])
-                low, high = level_ends(mixture, components, value, step, number, whole, parts)
-                coded.intervals[lo + i, 0] = low
-                coded.intervals[lo + i, 1] = high - low
-        actual = np.float32(value * step) + middle
-        w = laser.quotient / max(actual + laser.offset, _ONE)
-        inverse[PAD + i] = w
-        left = push(left, w)
-        error = squashed_errors(actual, counts)
-        store(errors, (PAD + i) * 16, error)
-        error0 = (error0 + error) * _HALF
-        if before is not None:
-            signed = actual - lane(counts, PREDICTORS)
-        if mode == COLLECT and rows.keep[lo + i]:
-            for p in range(rows.inputs.shape[1]):
-                rows.inputs[row, p] = x[INPUT_PLACES[p]]
-            for p in range(rows.beside.shape[1]):
-                rows.beside[row, p] = mu[p] - mu[PREDICTORS - 1]
-            rows.target[row] = actual - mu[PREDICTORS - 1]
-            row += 1
-    return row
+    done = top = 0
+    while done < len(level):
+        top, n = _next_wave(top, sweep, wave)
+        for p in range(n):
+            ring = np.uint64(wave[p])
+            laser = Laser(constants[ring, 0], constants[ring, 1], sweep.heights[ring], step_value)
+            _predict(p, wave[p], sweep, laser, scratch, before, seen)
+        if mode != COLLECT:
+            _weigh(n, wave, layers, components, scratch)
+        if mode == DECODE:
+            _decode(n, done, wave, sweep, levels, coded, scratch)
+        for p in range(n):
+            k = wave[p]
+            ring = np.uint64(k)
+            i = starts[k] + reached.n[ring]
+            value = int(level[i])
+            coded.order[done + p] = k
+            if mode == PREDICT:
+                low, high = level_ends(
+                    scratch.mixture, p, scratch.kept[p], value, step, number, scratch.whole, scratch.parts
+                )
+                coded.intervals[done + p, 0] = low
+                coded.intervals[done + p, 1] = high - low
+            actual = np.float32(value * step) + middle
+            if mode == COLLECT and rows.place[i] >= 0:
+                row = rows.place[i]
+                for f in range(rows.inputs.shape[1]):
+                    rows.inputs[row, f] = scratch.x[p, INPUT_PLACES[f]]
+                for f in range(rows.beside.shape[1]):
+                    rows.beside[row, f] = mu[p, f] - mu[p, PREDICTORS - 1]
+                rows.target[row] = actual - mu[p, PREDICTORS - 1]
+            counts = load(mu, p * PLACES, 16)
+            error = squashed_errors(actual, counts)
+            store(reached.error, k * 16, (load(reached.error, k * 16, 16) + error) * _HALF)
+            if before is not None:
+                reached.signed[ring] = actual - lane(counts, PREDICTORS)
+            laser = Laser(constants[ring, 0], constants[ring, 1], sweep.heights[ring], step_value)
+            _learn(k, starts[k + 1] - starts[k], actual, error, sweep.rings, reached, sweep.levers, laser)
+        done += n
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def walk(mode, starts, tick, levels, layers, coded, rows, before):  # type: ignore[no-untyped-def]
-    """Visit every return in firing order: predict its level, decode it, or collect rows.
+    """Visit every return, wave after wave: predict its level, decode it, or collect rows.
 
     PREDICT fills ``coded.intervals`` with where each level lies in its predicted distribution.
-    COLLECT fills one training row per return with ``rows.keep`` set: features, predictions and the actual
+    COLLECT fills one training row per return with a ``rows.place``: features, predictions and the actual
     count, both relative to the base, in counts.
 
     ``before`` is a :class:`WarpedSweep`, or None for a network that does not ask for it.
     """
-    longest = longest_ring(starts)
-    seen = None if before is None else see(before, longest)
-    unused = np.zeros(longest, np.float32)
-    size = row_size(starts)
+    n_rings, size = len(starts) - 1, row_size(starts)
     constants = levels.constants
-    azimuth, inverse = np.zeros((3, size), np.float32), np.zeros((3, size), np.float32)
-    error = np.zeros((3, size, 16), np.float32)
-    count = np.zeros(3, np.int64)
-    frame1, frame2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
-    index1, index2 = np.full(size, PAD, np.int32), np.full(size, PAD, np.int32)
-    value1, value2 = np.zeros(size, np.float32), np.zeros(size, np.float32)
-    slots = Slots(np.zeros((LEFT + 1, 32), np.float32), np.zeros((size, GAPS), np.int16))
-    width = layers.first.shape[1] >> 1
-    scratch = _Scratch(
-        np.zeros(layers.first.shape[0] * 2 + 16, np.int16), np.zeros(width, np.int16),
-        np.zeros(max(width, layers.last.shape[1] >> 1), np.int32), np.zeros(PLACES, np.float32),
-        np.zeros(3 * PLACES), np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES),
+    rings = Rings(
+        place_azimuths(starts, tick, constants), np.zeros((n_rings, size), np.float32), np.empty((n_rings, size, 16), np.float32),
+        np.zeros((n_rings, size), np.float32), np.zeros((n_rings, size), np.float32), np.zeros((n_rings, size), np.float32),
     )  # fmt: skip
-    row = 0
-    for k in range(len(starts) - 1):
-        r0, r1, r2 = k % 3, (k + 2) % 3, (k + 1) % 3
-        lo = starts[k]
-        m = starts[k + 1] - lo
-        count[r0] = m
-        if m == 0:
-            continue
-        turn, lever = constants[k, 3], constants[k, 4]
-        for i in range(m):
-            azimuth[r0, PAD + i] = np.float32(tick[lo + i]) + turn
-        has1 = k >= 1 and count[r1] > 0
-        has2 = k >= 2 and count[r2] > 0 and has1
-        if has1:
-            arm = constants[k - 1, 4] - lever
-            align(azimuth[r1], inverse[r1], count[r1], arm, azimuth[r0], m, frame1, index1, value1)
-        if has2:
-            arm = constants[k - 2, 4] - lever
-            align(azimuth[r2], inverse[r2], count[r2], arm, azimuth[r0], m, frame2, index2, value2)
-        if before is not None:
-            align_seen(k, before, azimuth[r0], m, lever, seen, unused)
-        above = RingAbove(frame1, inverse[r1], error[r1], index1, value1, has1)
-        second = RingAbove(frame2, inverse[r2], error[r2], index2, value2, has2)
-        slot_places(has1, has2, slots.places)
-        ring_gaps(m, azimuth[r0], above, second, slots.gaps)
-        ring = _Ring(azimuth[r0], inverse[r0], error[r0])
-        row = _walk_ring(
-            mode,
-            k,
-            lo,
-            m,
-            levels,
-            layers,
-            coded,
-            rows,
-            row,
-            ring,
-            above,
-            second,
-            slots,
-            scratch,
-            before,
-            seen,
-        )
-        close_ring(ring.azimuth, ring.inverse, ring.error, m)
+    reached = _Reached(
+        np.zeros(n_rings, np.int64), np.full((n_rings, 2), PAD - 1, np.int64), np.zeros(n_rings, np.float32),
+        np.full((n_rings, 16), NO_ERROR, np.float32), np.zeros(n_rings, np.float32),
+    )  # fmt: skip
+    levers, heights = np.zeros((n_rings, 2), np.float32), np.zeros(n_rings, np.float32)
+    for k in range(n_rings):
+        heights[k] = height_ratio(constants, k)
+        for r in range(2):
+            levers[k, r] = lever_ticks(constants[max(k - 1 - r, 0), 4] - constants[k, 4])
+    seen = None if before is None else see(before, starts, rings.azimuth, constants)
+    width, outputs = layers.first.shape[1] >> 1, layers.last.shape[1] >> 1
+    most = RINGS + POINTS
+    scratch = _Scratch(
+        np.zeros((most, layers.first.shape[0] * 2 + 16), np.int16), np.zeros((most, 3 * PLACES)), np.zeros(most, np.int64),
+        np.zeros((most, PLACES), np.float32),
+        np.zeros((POINTS, width), np.int16), np.zeros((POINTS, max(width, outputs)), np.int32), np.zeros((7, STATES), np.int64),
+        np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES),
+    )  # fmt: skip
+    sweep = _Sweep(starts, rings, reached, levers, heights, slot_places())
+    _walk(mode, sweep, levels, layers, coded, rows, np.zeros(most, np.int64), scratch, before, seen)
 
 
 def _packed(network: Network, before: WarpedSweep | None) -> Layers:
@@ -268,12 +377,12 @@ def predict_ranges(
     sensor: SensorModel,
     network: Network,
     before: WarpedSweep | None = None,
-) -> NDArray[np.uint32]:
+) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
     """Predict every level ``(M,)`` from the returns before it.
 
     Returns:
         ``(M, 2)`` start and width, of ``2 ** BITS``, of the interval that the predicted distribution gives
-        to the actual level: what a range coder needs.
+        to the actual level, in the order of coding; and the laser ``(M,)`` of each.
 
     Raises:
         ValueError: a level outside ``[0, LEVEL_LIMIT)``.
@@ -284,7 +393,7 @@ def predict_ranges(
     coded = to_predict(len(level))
     of_sweep = _Levels(level, step, levels, laser_constants(sensor))
     walk(PREDICT, starts, tick, of_sweep, _packed(network, before), coded, NO_ROWS, before)
-    return coded.intervals
+    return coded.intervals, coded.order
 
 
 def decode_ranges(
@@ -297,15 +406,17 @@ def decode_ranges(
     before: WarpedSweep | None = None,
 ) -> tuple[NDArray[np.int32], bool]:
     """Return the levels ``(M,)`` int32 and whether the data sufficed; inverse of
-    :func:`predict_ranges` and the range coder."""
+    :func:`predict_ranges` and the coder."""
     level = np.zeros(len(tick), np.int32)
     levels = int.from_bytes(data[:HEADER].tobytes(), "little")
     if len(data) < HEADER or not 1 <= levels <= LEVEL_LIMIT:
         return level, False
-    coded = to_decode(data[HEADER:])
+    coded = to_decode(len(level), data[HEADER:])
+    if coded is None:
+        return level, False
     of_sweep = _Levels(level, step, levels, laser_constants(sensor))
     walk(DECODE, starts, tick, of_sweep, _packed(network, before), coded, NO_ROWS, before)
-    return level, bool(coded.state[3] == 0)
+    return level, coded.ended
 
 
 def collect_ranges(
@@ -322,8 +433,8 @@ def collect_ranges(
     more = before is not None
     x = np.zeros((n, INPUTS + PREVIOUS_INPUTS * more), np.int16)
     mu = np.zeros((n, PREDICTORS + PREVIOUS_PREDICTORS * more), np.float32)
-    rows = Rows(keep, x, mu, np.zeros(n, np.float32))
+    rows = Rows(places(keep), x, mu, np.zeros(n, np.float32))
     none = _packed(Network.empty(x.shape[1]), before)
     of_sweep = _Levels(level, step, 1, laser_constants(sensor))
-    walk(COLLECT, starts, tick, of_sweep, none, to_predict(0), rows, before)
+    walk(COLLECT, starts, tick, of_sweep, none, to_predict(len(keep)), rows, before)
     return rows.inputs, rows.beside, rows.target

@@ -13,15 +13,12 @@ from salpcc.stages.predict.learned.range_features import INPUTS
 
 WEIGHTS = Path(__file__).parent / "weights"
 EFFORTS = ("default", "max")
-FORMER = {
-    "default": ("default_1",),
-    "max": ("max_1",),
-}  # weights that archives were written with before, by effort; they are read only
+_ORDER = "waves"  # what the digest of an effort says beside its networks
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedModels:
-    """The two networks of an effort level; ``digest`` names them in an archive (hex SHA-256).
+    """The two networks of an effort level; ``digest`` names them, and the order of coding, in an archive (hex SHA-256).
 
     ``looks_back``: whether they ask for the sweep before.
     """
@@ -34,10 +31,10 @@ class LearnedModels:
 
 @cache
 def load_models(effort: str) -> LearnedModels:
-    """Load the weights of ``default``, ``max`` or one of FORMER; raises SalpccError for any other effort."""
-    if effort not in EFFORTS and not any(effort in names for names in FORMER.values()):
+    """Load the weights of ``default`` or ``max``; raises SalpccError for any other effort."""
+    if effort not in EFFORTS:
         raise SalpccError(f"effort {effort!r} has no learned weights; it must be one of {', '.join(EFFORTS)}")
     ranges = load_network(WEIGHTS / f"range_{effort}.npz")
     intensity = load_network(WEIGHTS / f"intensity_{effort}.npz")
-    digest = sha256(f"{ranges.digest}{intensity.digest}".encode()).hexdigest()
+    digest = sha256(f"{ranges.digest}{intensity.digest}{_ORDER}".encode()).hexdigest()
     return LearnedModels(ranges, intensity, digest, len(ranges.first) > INPUTS)

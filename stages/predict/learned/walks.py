@@ -1,4 +1,9 @@
-"""What the walks of ranges and intensities have in common: they predict, decode, or collect rows to train with."""
+"""What the walks of ranges and intensities have in common: they predict, decode, or collect rows to train with.
+
+RINGS rings are walked side by side, wave after wave: in a wave, each has its next return, if the rings above are far enough ahead that all that it
+is predicted from is known. So the returns of a wave do not wait for each other, and the network takes several at once. More rings at a time leave too
+little room in the cache.
+"""
 
 from __future__ import annotations
 
@@ -7,49 +12,72 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.range_coder import start_decoder
+from salpcc.stages.entropy.intervals import STATES, begin, ended
+from salpcc.stages.entropy.rans import Words
 
 PREDICT, DECODE, COLLECT = 0, 1, 2
+RINGS = 8  # at a time
 
 
 class Coded(NamedTuple):
     """Where a walk writes to or reads from.
 
     Attributes:
-        intervals: ``(M, 2)`` start and width in the predicted distribution of each value, where it predicts.
-        state, data: of the range coder that it decodes from.
+        order: ``(M,)`` the laser of each value, in the order of coding.
+        intervals: ``(M, 2)`` start and width in the predicted distribution of each value, in that order, where it predicts.
+        state, words: of :mod:`salpcc.stages.entropy.intervals`, that it decodes from.
     """
 
+    order: NDArray[np.uint8]
     intervals: NDArray[np.uint32]
     state: NDArray[np.int64]
-    data: NDArray[np.uint8]
+    words: Words
+
+    @property
+    def ended(self) -> bool:
+        """Whether all was decoded."""
+        return ended(self.state, self.words)
 
 
 def to_predict(values: int) -> Coded:
     """Make room for the intervals of so many values."""
-    unread = np.zeros(1, np.uint8)
-    return Coded(np.zeros((values, 2), np.uint32), start_decoder(unread), unread)
+    return Coded(
+        np.zeros(values, np.uint8), np.zeros((values, 2), np.uint32), *_from(np.zeros(2 * STATES, np.uint32))
+    )
 
 
-def to_decode(data: NDArray[np.uint8]) -> Coded:
-    """Begin to decode bytes."""
-    body = np.ascontiguousarray(data)
-    return Coded(np.zeros((0, 2), np.uint32), start_decoder(body), body)
+def to_decode(values: int, data: NDArray[np.uint8]) -> Coded | None:
+    """Begin to decode so many values from bytes; None if these cannot be what was encoded."""
+    if len(data) % 4 or len(data) < 8 * STATES:
+        return None
+    words = data.view("<u4").astype(np.uint32)
+    if (words[: 2 * STATES : 2] >> 31).any():
+        return None
+    return Coded(np.zeros(values, np.uint8), np.zeros((0, 2), np.uint32), *_from(words))
+
+
+def _from(words: Words) -> tuple[NDArray[np.int64], Words]:
+    return begin(words), words
 
 
 class Rows(NamedTuple):
-    """Training rows of the returns of which ``keep`` ``(M,)`` is set; without one, nothing is collected.
+    """Training rows of the returns of which ``place`` ``(M,)`` says one; without any, nothing is collected.
 
-    ``inputs`` are int16 features; ``beside`` what else the network takes of a return; ``target`` what it should say, of
-    ranges only.
+    ``place`` is -1 of others; ``inputs`` are int16 features; ``beside`` what else the network takes of a return; ``target``
+    what it should say, of ranges only.
     """
 
-    keep: NDArray[np.bool_]
+    place: NDArray[np.int64]
     inputs: NDArray[np.int16]
     beside: NDArray[Any]
     target: NDArray[np.float32]
 
 
 NO_ROWS = Rows(
-    np.zeros(0, np.bool_), np.zeros((0, 0), np.int16), np.zeros((0, 0), np.float32), np.zeros(0, np.float32)
+    np.zeros(0, np.int64), np.zeros((0, 0), np.int16), np.zeros((0, 0), np.float32), np.zeros(0, np.float32)
 )
+
+
+def places(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the row of each return in ``keep`` ``(M,)``, -1 of the others."""
+    return np.where(keep, np.cumsum(keep) - 1, -1)

@@ -12,7 +12,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
-from salpcc.stages.predict.learned.shipped import EFFORTS, FORMER, load_models
+from salpcc.stages.predict.learned.shipped import EFFORTS, load_models
 from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
@@ -58,7 +58,7 @@ class GopState:
         self.fields = FieldModes(self.learns)
 
     def values(self, effort: str) -> ValueModels:
-        """Return the models of levels and intensities of an effort, or of former weights."""
+        """Return the models of levels and intensities of an effort."""
         if effort not in self._values:
             self._values[effort] = value_models(effort, self.sensor)
         return self._values[effort]
@@ -69,16 +69,15 @@ class GopState:
         return warp(self.before, motion, self.sensor) if looks_back else None
 
     def known(self, effort: str, weights: bytes) -> ValueModels:
-        """Return the models of an effort that ``weights`` names, those that ship or former ones.
+        """Return the models of an effort, which ``weights`` must name.
 
         Raises:
             ArchiveError: this installation ships other weights.
         """
-        for name in (effort, *FORMER.get(effort, ())):
-            models = self.values(name)
-            if models.weights == weights:
-                return models
-        raise ArchiveError(
-            f"payload was coded with the weights {weights.hex()} of effort {effort}; this version has "
-            f"{self.values(effort).weights.hex()}: decode it with the version that wrote it"
-        )
+        models = self.values(effort)
+        if models.weights != weights:
+            raise ArchiveError(
+                f"payload was coded with the weights {weights.hex()} of effort {effort}; this version has "
+                f"{models.weights.hex()}: decode it with the version that wrote it"
+            )
+        return models

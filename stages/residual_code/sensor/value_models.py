@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
-from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.intervals import encode_intervals
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned import intensity_model, range_model
@@ -85,12 +84,12 @@ class NetworkModels:
         intervals = predicted.range_interval
         assert intervals is not None
         levels = range_model.count_levels(sweep.count).to_bytes(range_model.HEADER, "little")
-        return levels + run_encoder(lambda out: encode_intervals(intervals, out), len(intervals))
+        return levels + encode_intervals(intervals)
 
     def encode_intensity(self, values: Bytes, predicted: Prediction) -> bytes:
         intervals = predicted.intensity_interval
         assert intervals is not None
-        return run_encoder(lambda out: encode_intervals(intervals, out), len(intervals))
+        return encode_intervals(intervals)
 
     def decode(
         self, starts: Starts, tick: Ticks, step: int, before: Before, levels: Bytes, intensities: Bytes | None
@@ -107,5 +106,5 @@ class NetworkModels:
 
 
 def value_models(effort: str, sensor: SensorModel) -> ValueModels:
-    """Return the models of levels and intensities of an effort, or of one of :data:`.FORMER`."""
+    """Return the models of levels and intensities of an effort."""
     return StaticModels(sensor) if effort == "fast" else NetworkModels(sensor, load_models(effort))

@@ -53,10 +53,9 @@ def test_all_archives_are_there() -> None:
     assert sum(path.stat().st_size for path in GOLDEN.iterdir() if path.is_file()) < 400_000
 
 
-@pytest.mark.parametrize("name", [*ARCHIVES, "former/default_exact.mcap", "former/max_exact.mcap"])
+@pytest.mark.parametrize("name", ARCHIVES)
 def test_decodes_to_the_same_bits(name: str) -> None:
-    """Also what was written with weights that new ones have taken the place of."""
-    expected = EXPECTED["archives"][Path(name).name]
+    expected = EXPECTED["archives"][name]
     with Archive.open(GOLDEN / name) as archive:
         scans = list(archive)
     assert [scan.name for scan in scans] == list(expected)

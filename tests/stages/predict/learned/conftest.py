@@ -34,8 +34,7 @@ def returns(make_scan: Callable[..., Scan], sensor: SensorModel) -> Returns:
 
 def coded(intervals: np.ndarray) -> np.ndarray:
     """The bytes of predicted intervals."""
-    out = np.zeros(4 * len(intervals) + 64, np.uint8)
-    return out[: encode_intervals(intervals, out)].copy()
+    return np.frombuffer(encode_intervals(intervals), np.uint8)
 
 
 def range_stream(
@@ -43,4 +42,4 @@ def range_stream(
 ) -> np.ndarray:
     """The bytes of range levels: how many levels there are, and the intervals."""
     header = np.frombuffer(count_levels(level).to_bytes(HEADER, "little"), np.uint8)
-    return np.concatenate([header, coded(predict_ranges(starts, tick, level, step, sensor, network))])
+    return np.concatenate([header, coded(predict_ranges(starts, tick, level, step, sensor, network)[0])])

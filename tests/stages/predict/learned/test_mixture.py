@@ -12,7 +12,7 @@ from salpcc.stages.predict.learned.mixture import (
     SCALES,
     TOTAL,
     WEIGHTS,
-    find_level,
+    find_levels,
     level_ends,
     output_places,
     set_mixture,
@@ -26,18 +26,27 @@ SHIFT = 17
 def ends(
     sums: Any, shift: int, mu: Any, components: int, level: int, step: int, levels: int
 ) -> tuple[int, int]:
-    mixture, whole, parts = np.zeros(3 * PLACES), np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES)
-    set_mixture(sums, shift, mu, components, mixture, whole)
-    return level_ends(mixture, components, level, step, levels, whole, parts)
+    mixture, whole, parts = np.zeros((2, 3 * PLACES)), np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES)
+    kept = set_mixture(sums, 1, shift, mu, 1, components, mixture, whole)
+    return level_ends(mixture, 1, kept, level, step, levels, whole, parts)
 
 
 @njit(error_model="numpy")
-def find(
-    sums: Any, shift: int, mu: Any, components: int, target: int, step: int, levels: int
-) -> tuple[int, int, int]:
-    mixture, whole, parts = np.zeros(3 * PLACES), np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES)
-    set_mixture(sums, shift, mu, components, mixture, whole)
-    return find_level(mixture, components, target, step, levels, whole, parts)
+def find(sums: Any, shift: int, mu: Any, components: int, targets: Any, step: int, levels: int) -> Any:
+    """Find several targets of one mixture, set once for each; level and ends ``(3, targets)``."""
+    n = len(targets)
+    mixture, whole, parts = (
+        np.zeros((2 + n, 3 * PLACES)),
+        np.zeros(2 * PLACES, np.int32),
+        np.zeros(2 * PLACES),
+    )
+    kept, search = np.zeros(2 + n, np.int64), np.zeros((7, n), np.int64)
+    for p in range(n):
+        mu[2 + p] = mu[1]
+        search[0, p] = targets[p]
+        kept[2 + p] = set_mixture(sums, 1, shift, mu, 2 + p, components, mixture, whole)
+    find_levels(mixture, 2, n, kept, step, levels, search, whole, parts)
+    return search[1:4]
 
 
 def plain_start(out: np.ndarray, mu: np.ndarray, level: int, step: int, levels: int) -> int:
@@ -74,19 +83,19 @@ def test_levels_lie_where_the_formula_says(predictors: int, step: int, spread: f
     for _ in range(40):
         out = rng.normal(0, spread, 3 * components)
         whole = np.rint(out * 2**SHIFT).astype(np.int32)
-        sums = np.full(3 * PLACES, NEVER, np.int32)
-        sums[list(output_places(predictors))] = whole
-        mu = np.zeros(PLACES, np.float32)
-        mu[:components] = rng.uniform(0, levels * step) + rng.normal(0, 50, components)
+        sums = np.full((2, 3 * PLACES), NEVER, np.int32)
+        sums[1, list(output_places(predictors))] = whole
+        mu = np.zeros((30, PLACES), np.float32)
+        mu[1, :components] = rng.uniform(0, levels * step) + rng.normal(0, 50, components)
         given = (sums, SHIFT, mu, components)
-        centre = int(mu[0] / step)
+        centre = int(mu[1, 0] / step)
         for level in (0, 1, centre - 9, centre, centre + 1, centre + 300, levels - 1):
             level = min(max(level, 0), levels - 1)
-            low, high = (plain_start(whole / 2**SHIFT, mu, v, step, levels) for v in (level, level + 1))
+            low, high = (plain_start(whole / 2**SHIFT, mu[1], v, step, levels) for v in (level, level + 1))
             assert ends(*given, level, step, levels) == (low, high)
-            for target in (low, (low + high) // 2, high - 1):
-                assert find(*given, target, step, levels) == (level, low, high)
-        for target in rng.integers(0, TOTAL, 20):
-            level, low, high = find(*given, target, step, levels)
+            found = find(*given, np.array([low, (low + high) // 2, high - 1]), step, levels)
+            assert (found == np.array([[level], [low], [high]])).all()
+        targets = rng.integers(0, TOTAL, 20)
+        for target, (level, low, high) in zip(targets, find(*given, targets, step, levels).T, strict=True):
             assert low <= target < high
             assert ends(*given, level, step, levels) == (low, high)

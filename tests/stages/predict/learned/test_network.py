@@ -10,6 +10,7 @@ from numba import njit
 from salpcc.schemas.errors import SalpccError
 from salpcc.stages.predict.learned.network import (
     NEVER,
+    POINTS,
     Layers,
     Network,
     check,
@@ -36,22 +37,23 @@ def in_integers(network: Network, x: np.ndarray, bias: np.ndarray, laser: int) -
 
 
 @njit(error_model="numpy")
-def run(x: np.ndarray, laser: int, layers: Layers, h: np.ndarray, sums: np.ndarray) -> None:
-    forward(x, laser, layers, h, sums)
+def run(x: np.ndarray, lasers: np.ndarray, layers: Layers, h: np.ndarray, sums: np.ndarray) -> None:
+    forward(x, 1, lasers, layers, h, sums)
 
 
 def answer(
-    network: Network, x: np.ndarray, bias: np.ndarray, laser: int, inputs: tuple, places: tuple
+    network: Network, x: np.ndarray, bias: np.ndarray, lasers: np.ndarray, inputs: tuple, places: tuple
 ) -> np.ndarray:
-    """What the kernel answers, at its places."""
+    """What the kernel answers, at its places, to the rows of ``x`` ``(POINTS, inputs)`` with their biases and lasers."""
     layers = pack(network, inputs, places)
-    moved = np.zeros(2 * len(layers.first), np.int16)
-    moved[list(inputs)] = x
-    width = layers.first.shape[1] // 2
-    sums = np.zeros(max(width, layers.last.shape[1] // 2), np.int32)
-    sums[: len(bias)] = bias
-    run(moved, laser, layers, np.zeros(width, np.int16), sums)
-    return sums[: layers.last.shape[1] // 2]
+    moved = np.full((1 + POINTS, 2 * len(layers.first) + 3), 77, np.int16)
+    moved[1:, : 2 * len(layers.first)] = 0
+    moved[1:, list(inputs)] = x
+    width, outputs = layers.first.shape[1] // 2, layers.last.shape[1] // 2
+    sums = np.zeros((POINTS, max(width, outputs) + 16), np.int32)
+    sums[:, : bias.shape[1]] = bias
+    run(moved, np.append(0, lasers), layers, np.zeros((POINTS, width), np.int16), sums)
+    return sums[:, :outputs]
 
 
 @pytest.mark.parametrize("effort", EFFORTS)
@@ -63,17 +65,18 @@ def test_forward_equals_integer_arithmetic(effort: str, which: str, extreme: boo
     inputs = tuple(rng.permutation(len(network.first) + 9)[: len(network.first)].tolist())
     outputs = network.last.shape[1]
     places = tuple(rng.permutation(outputs + 20)[: outputs - 2].tolist())
-    for laser in (0, 31, 63):
-        x = rng.integers(-1023, 1024, len(network.first))
-        if extreme:
-            x = np.where(x < 0, -1023, 1023)
-        bias = network.tables[0, laser]
-        found = answer(network, x, bias, laser, inputs, places)
-        wanted = in_integers(network, x, bias, laser)
-        np.testing.assert_array_equal(found[list(places)], wanted[: outputs - 2])
-        others = np.ones(len(found), bool)
-        others[list(places)] = False
-        assert (found[others] == NEVER).all()
+    lasers = np.array([0, 31, 63, 5])
+    x = rng.integers(-1023, 1024, (POINTS, len(network.first)))
+    if extreme:
+        x = np.where(x < 0, -1023, 1023)
+    bias = network.tables[0, lasers]
+    found = answer(network, x, bias, lasers, inputs, places)
+    for p in range(POINTS):
+        wanted = in_integers(network, x[p], bias[p], lasers[p])
+        np.testing.assert_array_equal(found[p, list(places)], wanted[: outputs - 2])
+    others = np.ones(found.shape[1], bool)
+    others[list(places)] = False
+    assert (found[:, others] == NEVER).all()
 
 
 @pytest.mark.parametrize("width", [8, 16, 32, 48, 64, 80, 112, 128, 144])
@@ -83,9 +86,11 @@ def test_any_width_is_exact(width: int) -> None:
         (rng.normal(size=s) / 9, rng.normal(size=s[1])) for s in ((13, width), (width, width), (width, 5))
     ]
     network = quantize_network(layers, [rng.normal(size=(64, width))])
-    x = rng.integers(-1023, 1024, 13)
-    found = answer(network, x, network.tables[0, 7], 7, tuple(range(13)), tuple(range(5)))
-    np.testing.assert_array_equal(found[:5], in_integers(network, x, network.tables[0, 7], 7))
+    x, lasers = rng.integers(-1023, 1024, (POINTS, 13)), np.array([7, 0, 63, 7])
+    bias = network.tables[0, lasers]
+    found = answer(network, x, bias, lasers, tuple(range(13)), tuple(range(5)))
+    for p in range(POINTS):
+        np.testing.assert_array_equal(found[p, :5], in_integers(network, x[p], bias[p], lasers[p]))
 
 
 def small() -> Network:

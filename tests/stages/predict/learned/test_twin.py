@@ -35,10 +35,10 @@ for effort, before in (("default", None), ("max", None), ("max", sweep)):
     seen = warp(before, sweep.motion, sensor) if effort == "max" else None
     for step in (1, 10):
         level = count // step
-        ranges = predict_ranges(starts, tick, level, step, sensor, models.ranges, seen)
+        ranges, order = predict_ranges(starts, tick, level, step, sensor, models.ranges, seen)
         values = predict_intensity(starts, tick, level, step, value, sensor, models.intensity, seen)
         assert (ranges[:, 1] > 0).all() and (values[:, 1] > 0).all()
-        print(effort, step, sha256(ranges.tobytes()).hexdigest(), sha256(values.tobytes()).hexdigest())
+        print(effort, step, sha256(order.tobytes() + ranges.tobytes()).hexdigest(), sha256(values.tobytes()).hexdigest())
 """
 
 

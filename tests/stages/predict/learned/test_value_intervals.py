@@ -24,17 +24,17 @@ SHIFT = 17
 
 @njit(error_model="numpy")
 def run(sums: Any, shift: int, freq: Any) -> int:
-    return frequencies(sums, shift, freq)
+    return frequencies(sums, 1, shift, freq, 2)
 
 
 @njit(error_model="numpy")
 def start(freq: Any, value: int) -> int:
-    return value_start(freq, value)
+    return value_start(freq, 2, value)
 
 
 @njit(error_model="numpy")
 def find(freq: Any, total: int, target: int) -> tuple[int, int]:
-    return find_value(freq, total, target)
+    return find_value(freq, 2, total, target)
 
 
 def wanted(logits: np.ndarray) -> np.ndarray:
@@ -47,8 +47,8 @@ def wanted(logits: np.ndarray) -> np.ndarray:
 
 
 def in_lanes(logits: np.ndarray) -> np.ndarray:
-    sums = np.full(ROWS * LANES, NEVER, np.int32)
-    sums[list(OUTPUT_PLACES)] = logits
+    sums = np.full((2, ROWS * LANES), NEVER, np.int32)
+    sums[1, list(OUTPUT_PLACES)] = logits
     return sums
 
 
@@ -57,10 +57,10 @@ def test_frequencies_and_intervals_follow_the_formula(spread: float) -> None:
     rng = np.random.default_rng(int(spread))
     for _ in range(50):
         logits = np.rint(rng.uniform(-spread, spread, VALUES)).astype(np.int32)
-        freq = np.zeros(ROOM, np.int32)
+        freq = np.zeros((3, ROOM), np.int32)
         total = run(in_lanes(logits), SHIFT, freq)
         plain = wanted(logits)
-        np.testing.assert_array_equal(freq[list(OUTPUT_PLACES)], plain)
+        np.testing.assert_array_equal(freq[2, list(OUTPUT_PLACES)], plain)
         assert total == plain.sum()
         starts = np.concatenate([[0], np.cumsum(plain.astype(np.int64))])
         for value in range(VALUES):
