@@ -95,12 +95,25 @@ def spans_of(values: Values) -> Spans | None:
         off = ordered - ordered[0]
         if np.abs(off / 2.0**_SHIFT).max() * 2.0 ** (2 * _SHIFT) >= _MOST or not np.isfinite(values).all():
             return None
-        low = (off << _SHIFT) - (1 << (_SHIFT - 1))
-        return Spans(ORDERED, 0, int(ordered[0]), low, low + (1 << _SHIFT) - 1)
+        return spans_as(values, ORDERED, 0, int(ordered[0]))
     off = bits - bits[0]
     if np.abs(off / 2.0).max() * 2.0 >= _MOST:
         return None
-    return Spans(BITS, 0, int(bits[0]), off, off)
+    return spans_as(values, BITS, 0, int(bits[0]))
+
+
+def spans_as(values: Values, form: int, power: int, origin: int) -> Spans | None:
+    """Return the same of values ``(N,)`` in the form that others have; None where they have no such form."""
+    if form == DECIMAL and values.dtype == np.float32:
+        return _at_power(values, power)
+    if form == DECIMAL:
+        whole = np.rint(values * 10.0**power).astype(np.int64)
+        return Spans(DECIMAL, power, 0, whole, whole)
+    off = to_bits(values) - origin
+    if form == BITS:
+        return Spans(BITS, 0, origin, off, off)
+    low = ((order(to_bits(values), 64) - origin) << _SHIFT) - (1 << (_SHIFT - 1))
+    return Spans(ORDERED, 0, origin, low, low + (1 << _SHIFT) - 1)
 
 
 def _decimal_spans(values: Values) -> Spans | None:

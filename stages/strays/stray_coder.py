@@ -4,6 +4,7 @@ Stream: length of the places (uint32), the places as gaps, form, left, up and pe
 Many strays that lie on the lattice of the sensor model after all, as of a sensor whose files no other coder knows, are coded by it
 (:mod:`~salpcc.stages.strays.aimed.aimed_strays`). Strays whose lasers and times their message tells may lie on rays that turn steadily (:mod:`~salpcc.stages.strays.timed.timed_strays`), or on the lattice but for a
 motion by time (:mod:`~salpcc.stages.strays.aimed.moved_strays`); then these two are told with them, and need not be told again.
+Those of a movable layer are told among those of the static one (:mod:`~salpcc.stages.strays.aimed.aimed_layers`), and with them their places.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from salpcc.stages.strays.timed.fit_turning import Fitted
 from salpcc.stages.strays.timed.timed_strays import ray_number_of, read_timed, write_timed
 from salpcc.stages.strays.timeline import Timeline
 
-AIMED, TIMED, MOVED = 3, 5, 6  # the forms after those of rays
+AIMED, TIMED, MOVED, AMONG = 3, 5, 6, 7  # the forms after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
@@ -75,9 +76,19 @@ def _form(points: F32, max_error: float) -> tuple[int, int, float]:
     return (HALVES if len(sample) and halves.all(axis=1).mean() > _ON_GRID else BITS), 1, 0.0
 
 
+class Among(NamedTuple):
+    """Where a movable layer stands: points ``(T, 3)`` of the static layer, and which of both, in file order, are movable ``(S,)``."""
+
+    static: F32
+    movable: NDArray[np.bool_]
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How points ``(S, 3)``, snapped if need be, are coded: on rays, ``chosen`` on the lattice of the sensor, or ``coded`` already: form, body, and the lasers and times that they tell."""
+    """How points ``(S, 3)``, snapped if need be, are coded: on rays, ``chosen`` on the lattice of the sensor, or ``coded`` already: form, body, and the lasers and times that they tell.
+
+    With ``among`` the points that are chosen are those of both layers.
+    """
 
     points: F32
     max_error: float
@@ -90,6 +101,7 @@ class Plan:
     lanes: NDArray[np.uint8] | None = None
     coded: tuple[int, bytes, Timeline] | None = None
     turning: Fitted | None = None  # of form TIMED
+    among: Among | None = None
 
     @property
     def told(self) -> Timeline | None:
@@ -131,6 +143,7 @@ def plan(
     like: Layout | None = None,
     turning: Fitted | None = None,
     learned: Learned | None = None,
+    among: Among | None = None,
 ) -> Plan:
     """Plan how to encode points ``(S, 3)``.
 
@@ -143,6 +156,7 @@ def plan(
         like: the layout of the scan before, which exact points are taken to have, too, where it is a likely one.
         turning: of the scan before, which the search for rays begins with.
         learned: of such points before, for efforts above ``fast``.
+        among: the static layer, of which they are the movable one.
     """
     lanes = lanes if len(points) >= _FEWEST else None
     points = np.ascontiguousarray(points)
@@ -150,6 +164,11 @@ def plan(
     fix = BITS if form == HALVES else form
     exact = settled and step == 0.0
     like = like if exact else None
+    if sensor is not None and among is not None and motion is None:
+        whole = _merged(points, among)
+        chosen = choose(whole, fix, per, max_error, sensor, None, True, like=like, learned=learned)
+        if chosen is not None:
+            return Plan(whole, max_error, chosen[0].layout, fix, per, step, sensor, chosen, among=among)
     if sensor is not None and exact and times is not None:
         moved = _moved_in_time(points, form, fix, per, sensor, lanes, times, like, learned)
         if moved is not None:
@@ -167,6 +186,13 @@ def plan(
         if timed is not None and rays.take_more_than(len(timed[0])):
             return replace(rays, coded=(TIMED, *timed[:2]), turning=timed[2])
     return min(aimed, rays, key=_size) if aimed else rays
+
+
+def _merged(points: F32, among: Among) -> F32:
+    """Return the points ``(S, 3)`` of both layers."""
+    whole = np.empty((len(among.movable), 3), np.float32)
+    whole[among.movable], whole[~among.movable] = points, among.static
+    return whole
 
 
 def _moved_in_time(
@@ -225,6 +251,8 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
     """Encode places ``(S,)`` and points."""
     if len(places) == 0:
         return b""
+    if found.among is not None:
+        return _encode_among(places, found, found.among)
     gaps = np.diff(places, prepend=-1) - 1
     first = run_encoder(lambda out: int(encode_integers(gaps[:, None], integer_model(1), out)), len(places))
     if found.coded is not None:
@@ -245,6 +273,19 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
     return min(coded, _on_rays(plan(found.points, found.max_error, lanes=found.lanes), first), key=len)
 
 
+def _encode_among(places: NDArray[np.int64], found: Plan, among: Among) -> bytes:
+    """Encode points among those of the static layer, with which come their places."""
+
+    def rest(off: F32) -> bytes:
+        return encode_strays(np.arange(len(off)), plan(off, found.max_error))
+
+    assert found.chosen is not None and found.sensor is not None
+    body = write_body(found.chosen, found.points, found.sensor, rest, among.movable)
+    if body is None:
+        return encode_strays(places, plan(found.points[among.movable], found.max_error))
+    return _HEAD.pack(0, AMONG, *found.chosen[0].layout, found.per) + body
+
+
 def _on_rays(found: Plan, first: bytes) -> bytes:
     form, body = found.on_rays
     return _HEAD.pack(len(first), form, *found.layout, found.per) + first + body
@@ -257,10 +298,11 @@ def decode_strays(
     sensor: SensorModel | None = None,
     motion: Motion = None,
     lists: LearnedLists | None = None,
+    static: F32 | None = None,
 ) -> tuple[NDArray[np.int64], F32, Timeline | None, bool]:
     """Inverse of :func:`encode_strays`: places, points, :attr:`Plan.told`, and whether the data made sense.
 
-    Sensor and motion are as for :func:`plan`; ``lists``: what was learned of those before.
+    Sensor and motion are as for :func:`plan`; ``lists``: what was learned of those before; ``static``: points of the static layer, if all of it are strays.
     """
     nothing = np.zeros(n, np.int64), np.zeros((n, 3), np.float32), None, n == 0
     if n == 0 or len(data) < _HEAD.size:
@@ -274,16 +316,33 @@ def decode_strays(
         known = (sensor is not None or not row.of_sensor) and (step == 0.0 or not row.exact)
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
-    rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
-    places = np.cumsum(rows[:, 0] + 1) - 1
     body = np.ascontiguousarray(data[begin:])
     given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists)
+    if form == AMONG:
+        return nothing if static is None else _read_among(given, static)
+    rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
+    places = np.cumsum(rows[:, 0] + 1) - 1
     if row is not None:
         points, told, whole = row.read(given)
     else:
         points, whole = read_points(n, (left, up), form, per, step, body)
         told = None
     return places, points, told, bool(sound and whole)
+
+
+def _read_among(given: _Given, static: F32) -> tuple[NDArray[np.int64], F32, Timeline | None, bool]:
+    """Read points among those of the static layer, and their places."""
+    n, layout, per, max_error, data, sensor, _, lists = given
+    assert sensor is not None
+    exact = ray_step(max_error) == 0.0
+    both = n + len(static)
+    points, _, movable, sound = read_body(
+        both, layout, per, exact, data, sensor, None, given.rest, lists=lists, static=static
+    )
+    places = np.flatnonzero(movable)
+    if len(places) != n:
+        return np.zeros(n, np.int64), np.zeros((n, 3), np.float32), None, False
+    return places, np.ascontiguousarray(points[places]), None, sound
 
 
 class _Given(NamedTuple):
@@ -312,7 +371,7 @@ def _read_aimed(given: _Given) -> _Points:
     n, layout, per, max_error, data, sensor, motion, lists = given
     assert sensor is not None
     exact = ray_step(max_error) == 0.0
-    points, _, whole = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
+    points, _, _, whole = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
     return points, None, whole
 
 
@@ -344,6 +403,7 @@ class _Form(NamedTuple):
 
 _FORMS = {
     AIMED: _Form(_read_aimed, number_of, lambda _, body: count_off(body), True, False),
+    AMONG: _Form(_read_aimed, number_of, lambda _, body: count_off(body), True, False),
     TIMED: _Form(_read_timed, ray_number_of, lambda n, _: n, False, True),
     MOVED: _Form(
         _read_moved,

@@ -20,7 +20,7 @@ from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.field_modes import FieldModes
-from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.points import Both, Points
 from salpcc.stages.residual_code.message.records import unpacked
 from salpcc.stages.strays.timeline import Timeline
 
@@ -89,6 +89,7 @@ def decode_cloud(
     modes: FieldModes,
     sensor: SensorModel | None = None,
     timeline: Timeline | None = None,
+    both: Both | None = None,
 ) -> tuple[Cloud, NDArray[np.float32] | None]:
     """Inverse of :func:`encode_cloud`: the cloud, and ``dim``.
 
@@ -131,7 +132,7 @@ def decode_cloud(
     if cloud.whole or flags & _LOOSE:
         raw = section[at - n_loose : at]
         cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
-    known = points_of(points, cloud, sensor, timeline)
+    known = points_of(points, cloud, sensor, timeline, both)
     columns = []
     for field, base in _columns(layout, points):
         if base is not None and not exact:
@@ -151,10 +152,12 @@ def points_of(
     cloud: Cloud,
     sensor: SensorModel | None = None,
     timeline: Timeline | None = None,
+    both: Both | None = None,
 ) -> Points:
     """What the fields of a scan are predicted from: its decoded points ``(N, 3)``, and how they lie."""
     layout = cloud.layout
-    return Points.of(points, layout.width if cloud.whole and layout.height > 1 else 0, sensor, timeline)
+    width = layout.width if cloud.whole and layout.height > 1 else 0
+    return Points.of(points, width, sensor, timeline, both)
 
 
 def _columns(layout: Layout, points: NDArray[np.float32]) -> list[tuple[Any, NDArray[np.float64] | None]]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salpcc.stages.entropy.buffer import require_sound
+from salpcc.stages.entropy.buffer import ENDLESS, require_sound
 from salpcc.stages.entropy.number_forms import to_bits
 from salpcc.stages.residual_code.message.learned_values import LearnedField
 from salpcc.stages.residual_code.message.multiples import (
@@ -29,15 +29,18 @@ from salpcc.stages.residual_code.message.placed_records import (
     decode_laser_record,
     decode_timeline_record,
     decode_times_record,
+    decode_whole_columns,
     encode_column_record,
     encode_columns_like,
     encode_laser_record,
     encode_timeline_record,
     encode_times_like,
     encode_times_record,
+    encode_whole_columns,
 )
 from salpcc.stages.residual_code.message.plain_records import decode_plain, encode_plain, encode_plain_like
 from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.ranks import decode_ranks, encode_ranks
 from salpcc.stages.residual_code.message.records import (
     BLENDED,
     BY_LASER,
@@ -45,10 +48,12 @@ from salpcc.stages.residual_code.message.records import (
     CONSTANT,
     LEARNED,
     MULTIPLES,
+    RANKS,
     RESIDUALS,
     SYMBOLS,
     TIMELINE,
     TIMES,
+    WHOLE,
     Values,
 )
 
@@ -57,13 +62,18 @@ _WORTH_IT = 0.05  # bits a value; fields that take less are left
 
 
 def encode_field(
-    values: Values, points: Points, base: Values | None = None, learned: LearnedField | None = None
+    values: Values,
+    points: Points,
+    base: Values | None = None,
+    learned: LearnedField | None = None,
+    beside: Values | None = None,
 ) -> bytes:
     """Encode a field ``(N,)`` of any number type, bit for bit.
 
     Args:
         base: values of the same type that it is close to, such as the coordinate it was rounded from.
         learned: of this field before, for efforts above ``fast``.
+        beside: the field ``(T,)`` of the static layer, where the points are those of the movable one.
     """
     known = _encode_known(values, points)
     if known is not None:
@@ -73,12 +83,21 @@ def encode_field(
         return coded
     step = 1 if learned is None else find_step(values)
     if step > 1:
-        multiples = encode_field(of_step(values, step), points, None, learned)
+        multiples = encode_field(of_step(values, step), points, None, learned, _multiples(beside, step))
         return min(coded, write_multiples(step, multiples), key=len)
     coded = _shorter(coded, encode_laser_record(values, points))
     coded = _shorter(coded, encode_column_record(values, points, len(coded)))
+    coded = _shorter(coded, encode_whole_columns(values, points, beside, len(coded)))
     coded = _shorter(coded, encode_picture(values, points, learned, len(coded)))
-    return _shorter(coded, encode_times_record(values, points, len(coded)))
+    coded = _shorter(coded, encode_times_record(values, points, len(coded), beside))
+    return coded if len(coded) < len(values) // 8 else _shorter(coded, encode_ranks(values, points))
+
+
+def _multiples(beside: Values | None, step: int) -> Values | None:
+    """The field of the static layer in steps; None where it is not in whole ones."""
+    if beside is None or beside.dtype.kind not in "iu" or (beside % beside.dtype.type(step)).any():
+        return None
+    return of_step(beside, step)
 
 
 def _shorter(coded: bytes, other: bytes | None) -> bytes:
@@ -92,11 +111,12 @@ def encode_like(
     points: Points,
     base: Values | None = None,
     learned: LearnedField | None = None,
+    beside: Values | None = None,
 ) -> bytes | None:
     """Encode a field as ``record`` of the scan before has it; None where that cannot be.
 
     Args:
-        base, learned: as for :func:`encode_field`.
+        base, learned, beside: as for :func:`encode_field`.
     """
     known = _encode_known(values, points)
     if known is not None:
@@ -106,14 +126,19 @@ def encode_like(
         step = read_step(record, 0, values.dtype)
         if (values % values.dtype.type(step)).any():
             return None
-        coded = encode_like(record[holds(record) :], of_step(values, step), points, None, learned)
+        of = _multiples(beside, step)
+        coded = encode_like(record[holds(record) :], of_step(values, step), points, None, learned, of)
         return coded and write_multiples(step, coded)
     if form in (RESIDUALS, SYMBOLS):
         return encode_plain_like(record, values, points, base)
     if form == BY_LASER:
         return encode_laser_record(values, points)
     if form == TIMES:
-        return encode_times_like(record, values, points)
+        return encode_times_like(record, values, points, beside)
+    if form == RANKS:
+        return encode_ranks(values, points)
+    if form == WHOLE:
+        return encode_whole_columns(values, points, beside, ENDLESS)
     if form == COLUMNS:
         return encode_columns_like(record, values, points)
     if form in (BLENDED, LEARNED):
@@ -131,10 +156,11 @@ def _encode_known(values: Values, points: Points) -> bytes | None:
 
 _DECODE = {
     BY_LASER: decode_laser_record,
-    TIMES: decode_times_record,
     COLUMNS: decode_column_record,
     TIMELINE: decode_timeline_record,
     BLENDED: decode_picture,
+    RANKS: decode_ranks,
+    WHOLE: decode_whole_columns,
 }
 
 
@@ -145,6 +171,7 @@ def decode_field(
     points: Points,
     base: Values | None = None,
     learned: LearnedField | None = None,
+    beside: Values | None = None,
 ) -> tuple[Values, int]:
     """Inverse of :func:`encode_field`: the values, and where the record at ``at`` ends.
 
@@ -158,8 +185,11 @@ def decode_field(
         return np.full(n, np.frombuffer(data, kind, 1, at + 1)[0]), end
     if data[at] == MULTIPLES:
         step = read_step(data, at, kind)
-        values, end = decode_field(data, holds(data, at), kind, points, None, learned)
+        of = _multiples(beside, step)
+        values, end = decode_field(data, holds(data, at), kind, points, None, learned, of)
         return values * kind.type(step), end
+    if data[at] == TIMES:
+        return decode_times_record(data, at + 1, kind, points, beside)
     if data[at] == LEARNED and learned is not None:
         return decode_picture(data, at + 1, kind, points, learned)
     if data[at] in _DECODE:

@@ -62,10 +62,10 @@ class FieldModes:
     ) -> bytes:
         record, of = self._found.get(name, (b"", 0))
         if record and len(values):
-            coded = encode_like(record, values, points, base, learned)
+            coded = encode_like(record, values, points, base, learned, points.beside(name[1]))
             if coded is not None and self._pays(len(coded), len(values), len(record), of):
                 return coded
-        coded = encode_field(values, points, base, learned)
+        coded = encode_field(values, points, base, learned, points.beside(name[1]))
         self._found[name] = coded, len(values)
         return coded
 
@@ -85,7 +85,7 @@ class FieldModes:
         """
         inner = holds(data, at)
         learned = self._of(name) if data[inner : inner + 1] == bytes([LEARNED]) else None
-        return decode_field(data, at, kind, points, base, learned)
+        return decode_field(data, at, kind, points, base, learned, points.beside(name[1]))
 
     @staticmethod
     def _pays(size: int, of: int, before: int, of_before: int) -> bool:

@@ -3,6 +3,8 @@
 Values are whole numbers (:class:`.number_forms.Spans`), often several that mean the same: the time of a point is ``clock + delay[laser]``,
 rounded to what was recorded, so the clock is finer than what shows of it; the writer picks one that goes on evenly, and then next to nothing is to be said of it.
 
+Of a movable layer the times of both layers' points are walked over. Those of the static one are known, so the clock of a firing that has such a point is, too.
+
 A firing begins where a laser comes back, or where a point's tick, less the laser's own shift, is no longer that of the firing before.
 The clock then most often goes on by one of the last few steps.
 """
@@ -38,6 +40,7 @@ _STEPS = 6  # of the clock from firing to firing that are remembered
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,40 +110,58 @@ def _begins(laser: I64, phase: I64, ticks: int, apart: int, nobody: int) -> NDAr
 
 
 @njit(cache=True)
-def _suits(i: int, begins: NDArray[np.bool_], low: I64, high: I64, laser: I64, delay: I64) -> tuple[int, int]:
-    """The clocks that suit point i and as many of its firing after it as any."""
+def _suits(
+    i: int, begins: Mask, low: I64, high: I64, laser: I64, delay: I64, known: Mask, only: bool
+) -> tuple[int, int]:
+    """The clocks that suit point i and as many of its firing after it as any; ``only`` those that are known, the first of them if i is none."""
+    while only and not known[i]:
+        i += 1
     a, b = low[i] - delay[laser[i]], high[i] - delay[laser[i]]
     j = i + 1
     while j < len(laser) and not begins[j]:
-        first, last = max(a, low[j] - delay[laser[j]]), min(b, high[j] - delay[laser[j]])
-        if first > last:
-            break
-        a, b = first, last
+        if known[j] or not only:
+            first, last = max(a, low[j] - delay[laser[j]]), min(b, high[j] - delay[laser[j]])
+            if first > last:
+                break
+            a, b = first, last
         j += 1
     return a, b
 
 
 @njit(cache=True)
-def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, numbers):  # type: ignore[no-untyped-def]
-    """Write or read the clocks ``(N,)`` of points; ``low``, ``high``: the times that would do, of no use to a reader."""
+def _has_known(i: int, begins: Mask, known: Mask) -> bool:
+    """Whether a point of the firing that begins at point i is known."""
+    while not known[i]:
+        i += 1
+        if i == len(known) or begins[i]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _code(writing, state, data, laser, delay, begins, low, high, known, clocks, bits, numbers):  # type: ignore[no-untyped-def]
+    """Write or read the clocks ``(N,)`` of points; ``low``, ``high``: the times that would do, of which a reader has those that are ``known (N,)``."""
     clock = np.int64(0)
     steps, used = np.zeros(_STEPS, np.int64), np.zeros(_STEPS, np.int64)
     recent, last = 0, _STEPS
     for i in range(len(laser)):
-        new = clock
+        before = clock
+        starts = i == 0 or begins[i]
+        told = _has_known(i, begins, known) if starts else known[i]  # and the clock with it
+        sees = writing or told
         a, b = np.int64(0), np.int64(0)
-        if writing and (i == 0 or begins[i] or not low[i] <= clock + delay[laser[i]] <= high[i]):
-            a, b = _suits(i, begins, low, high, laser, delay)
-        if i == 0:
-            first = np.int64(0)
+        if starts and sees:
+            a, b = _suits(i, begins, low, high, laser, delay, known, told)
+        if i == 0 and told:
+            clock = a + (b - a) // 2
+        elif i == 0:
             for part in range(_CLOCK_BITS // 16):
-                first |= code_raw(writing, state, data, 16, ((a + (b - a) // 2) >> (16 * part)) & 0xFFFF) << (
+                clock |= code_raw(writing, state, data, 16, ((a + (b - a) // 2) >> (16 * part)) & 0xFFFF) << (
                     16 * part
                 )
-            new = first
-        elif begins[i]:
+        elif starts:
             which = _STEPS
-            if writing:
+            if sees:
                 for c in range(_STEPS - 1, -1, -1):
                     if a <= clock + steps[c] <= b:
                         which = c
@@ -149,36 +170,43 @@ def _code(writing, state, data, laser, delay, begins, low, high, clocks, bits, n
             c = 0
             while c < _STEPS:
                 at = 8 + last * _STEPS + c
-                if code_mixed_bit(writing, state, data, bits, at, bits, at, np.int64(which != c)) == 0:
+                other = np.int64(which != c)
+                if not told:
+                    other = code_mixed_bit(writing, state, data, bits, at, bits, at, other)
+                if other == 0:
                     break
                 c += 1
             if c == _STEPS:
                 wanted = clock + steps[recent]
-                went = code_number(
-                    writing, state, data, numbers, 0, numbers, 0, min(max(wanted, a), b) - wanted
-                )
-                new = wanted + went
+                off = min(max(wanted, a), b) - wanted
+                if not told:
+                    off = code_number(writing, state, data, numbers, 0, numbers, 0, off)
+                clock = wanted + off
                 c = int(used.argmin())
-                steps[c] = new - clock
+                steps[c] = clock - before
                 last = _STEPS
             else:
-                new = clock + steps[c]
+                clock += steps[c]
                 last = c
             used[c] = i
             recent = c
-        else:
+        if known[i] and not low[i] <= clock + delay[laser[i]] <= high[i]:
+            a, b = _suits(i, begins, low, high, laser, delay, known, True)
+            clock = min(max(clock, a), b)
+        elif not known[i] and (told or not starts):
             changes = writing and not low[i] <= clock + delay[laser[i]] <= high[i]
             at = 0 if i < 2 or clocks[i - 1] == clocks[i - 2] else 1
             if code_mixed_bit(writing, state, data, bits, at, bits, at, np.int64(changes)) != 0:
-                new = clock + code_number(
+                if writing:
+                    a, b = _suits(i, begins, low, high, laser, delay, known, False)
+                clock += code_number(
                     writing, state, data, numbers, 1, numbers, 1, min(max(clock, a), b) - clock
                 )
         if state[3] != 0:
             return
-        if writing and abs(new - clock) > _LARGEST and i > 0:
+        if (writing or known[i]) and abs(clock - before) > _LARGEST and i > 0:
             state[3] = 1
             return
-        clock = new
         clocks[i] = clock
 
 
@@ -259,10 +287,15 @@ def _agreed(low: I64, high: I64) -> int:
     return at + (until - at) // 2
 
 
-def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked, bytes] | None:
+def find_times(
+    fired: Fired, low: I64, high: I64, to_beat: int, known: Mask | None = None
+) -> tuple[Clocked, bytes] | None:
     """Find how to tell the times ``low ... high (N,)`` of points best, and encode them.
 
     None where that cannot be, or where trials say that it takes more than the bytes ``to_beat`` by far.
+
+    Args:
+        known: ``(N,)``, which of the times a reader has.
     """
     few, more = _first(fired, _TRIED), _first(fired, _FITTED)
     part, fitted = slice(0, _TRIED), slice(0, _FITTED)
@@ -275,7 +308,9 @@ def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked
             clocked = _fitted(
                 Clocked(shifted, int(min(same * pace, fired.ticks)), fired.shift), few, low[part], high[part]
             )
-            coded = encode_times(few, low[part], high[part], clocked)
+            coded = encode_times(
+                few, low[part], high[part], clocked, known=None if known is None else known[part]
+            )
             if coded is not None:
                 tried.append((len(coded), clocked))
     best: tuple[Clocked, bytes] | None = None
@@ -287,7 +322,7 @@ def find_times(fired: Fired, low: I64, high: I64, to_beat: int) -> tuple[Clocked
             break
         # Early times are rounded least.
         for clocked in (early, _fitted(early, more, low[fitted], high[fitted])):
-            coded = encode_times(fired, low, high, clocked, ENDLESS if best is None else len(best[1]))
+            coded = encode_times(fired, low, high, clocked, ENDLESS if best is None else len(best[1]), known)
             if coded is not None and (best is None or len(coded) < len(best[1])):
                 best = clocked, coded
     return best
@@ -315,26 +350,40 @@ def _of(fired: Fired, clocked: Clocked) -> NDArray[np.bool_]:
     )
 
 
-def encode_times(fired: Fired, low: I64, high: I64, clocked: Clocked, to_beat: int = ENDLESS) -> bytes | None:
-    """Encode times between ``low`` and ``high`` ``(N,)``; None where that cannot be, or takes more than the bytes ``to_beat``."""
+def encode_times(
+    fired: Fired, low: I64, high: I64, clocked: Clocked, to_beat: int = ENDLESS, known: Mask | None = None
+) -> bytes | None:
+    """Encode times between ``low`` and ``high`` ``(N,)``; None where that cannot be, or takes more than the bytes ``to_beat``.
+
+    Args:
+        known: ``(N,)``, which of them a reader has.
+    """
     out = room_for(12 * len(low) + 4096, to_beat)
     state = start_encoder()
     clocks = np.zeros(len(low), np.int64)
-    _code(True, state, out, fired.laser, clocked.delay, _of(fired, clocked), low, high, clocks, *_models())
+    known = np.zeros(len(low), np.bool_) if known is None else known
+    begins = _of(fired, clocked)
+    _code(True, state, out, fired.laser, clocked.delay, begins, low, high, known, clocks, *_models())
     times = clocks + clocked.delay[fired.laser]
-    if state[3] != 0 or ((times < low) | (times > high)).any():
+    if state[3] != 0 or (((times < low) | (times > high)) & ~known).any():
         return None
     return within(out, int(finish_encoder(state, out)), to_beat)
 
 
-def decode_times(fired: Fired, clocked: Clocked, data: bytes) -> tuple[I64, bool]:
-    """Inverse of :func:`encode_times`: the times ``(N,)`` as whole numbers, and whether the data made sense."""
+def decode_times(
+    fired: Fired, clocked: Clocked, data: bytes, given: tuple[I64, I64, Mask] | None = None
+) -> tuple[I64, bool]:
+    """Inverse of :func:`encode_times`: the times ``(N,)`` as whole numbers, and whether the data made sense.
+
+    Args:
+        given: the least and the largest times ``(N,)`` that would do, and which of them are known.
+    """
     raw = as_array(data)
     state = start_decoder(raw)
     clocks = np.zeros(len(fired.laser), np.int64)
-    _code(
-        False, state, raw, fired.laser, clocked.delay, _of(fired, clocked), clocks, clocks, clocks, *_models()
-    )
+    low, high, known = given or (clocks, clocks, np.zeros(len(clocks), np.bool_))
+    begins = _of(fired, clocked)
+    _code(False, state, raw, fired.laser, clocked.delay, begins, low, high, known, clocks, *_models())
     return clocks + clocked.delay[fired.laser], bool(state[3] == 0)
 
 

@@ -6,6 +6,7 @@ import struct
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.buffer import ENDLESS, require_sound
@@ -15,11 +16,17 @@ from salpcc.stages.entropy.number_forms import (
     Spans,
     from_bits,
     from_spans,
+    spans_as,
     spans_of,
     to_bits,
 )
 from salpcc.stages.residual_code.message.column_values import decode_columns, encode_columns, find_shifts
-from salpcc.stages.residual_code.message.firing_times import Clocked, decode_times, encode_times, find_times
+from salpcc.stages.residual_code.message.firing_times import (
+    Clocked,
+    decode_times,
+    encode_times,
+    find_times,
+)
 from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import (
@@ -27,6 +34,7 @@ from salpcc.stages.residual_code.message.records import (
     COLUMNS,
     TIMELINE,
     TIMES,
+    WHOLE,
     Integers,
     Values,
     flags_of,
@@ -64,33 +72,48 @@ def decode_laser_record(data: bytes, at: int, kind: np.dtype[Any], points: Point
     return from_bits(symbols, kind), at + length
 
 
-def encode_times_record(values: Values, points: Points, to_beat: int) -> bytes | None:
-    """A field that goes on from firing to firing; None where it does not, or takes more than ``to_beat`` bytes by far."""
+def encode_times_record(
+    values: Values, points: Points, to_beat: int, beside: Values | None = None
+) -> bytes | None:
+    """A field that goes on from firing to firing; None where it does not, or takes more than ``to_beat`` bytes by far.
+
+    Args:
+        beside: of the static layer, where the points are those of the movable one.
+    """
+    points, values, known = _with(beside, values, points)
     if values.dtype.itemsize < 4 or not points.on_lattice or points.fired is None:
         return None
     spans = spans_of(values)
     if spans is None:
         return None
-    found = find_times(points.fired, spans.low, spans.high, to_beat)
+    found = find_times(points.fired, spans.low, spans.high, to_beat, known)
     if found is None:
         return None
     return _times_record(spans, *found)
 
 
-def encode_times_like(record: bytes, values: Values, points: Points) -> bytes | None:
+def _with(
+    beside: Values | None, values: Values, points: Points
+) -> tuple[Points, Values, NDArray[np.bool_] | None]:
+    """The points that times are told of, their values, and which of these a reader has: those of both layers, where there is one ``beside``."""
+    if beside is None or points.both is None or beside.dtype != values.dtype:
+        return points, values, None
+    return points.both.points, points.both.whole(values, beside), ~points.both.movable
+
+
+def encode_times_like(
+    record: bytes, values: Values, points: Points, beside: Values | None = None
+) -> bytes | None:
     """The same with the delays that ``record`` has; None where that cannot be."""
     *_, shifted, apart, _, n_delays, _ = _TIMES.unpack_from(record, 1)
-    if points.fired is None:
+    points, values, known = _with(beside, values, points)
+    if points.fired is None or values.dtype.itemsize < 4:
         return None
     start = 1 + _TIMES.size
     delay = read_small(points.fired.lasers + 1, record[start : start + n_delays])
-    return _encode_times_as(Clocked(bool(shifted), apart, delay), values, points)
-
-
-def _encode_times_as(clocked: Clocked, values: Values, points: Points) -> bytes | None:
-    """The same with delays that are known; None where they do not fit."""
-    spans = spans_of(values) if values.dtype.itemsize >= 4 and points.fired is not None else None
-    stream = spans and points.fired and encode_times(points.fired, spans.low, spans.high, clocked)
+    clocked = Clocked(bool(shifted), apart, delay)
+    spans = spans_of(values)
+    stream = spans and encode_times(points.fired, spans.low, spans.high, clocked, known=known)
     return _times_record(spans, clocked, stream) if spans and stream else None
 
 
@@ -102,18 +125,28 @@ def _times_record(spans: Spans, clocked: Clocked, stream: bytes) -> bytes:
     return bytes([TIMES]) + head + delays + stream
 
 
-def decode_times_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+def decode_times_record(
+    data: bytes, at: int, kind: np.dtype[Any], points: Points, beside: Values | None = None
+) -> tuple[Values, int]:
     """Inverse of :func:`encode_times_record`: the values, and where the record ends; ``at``: behind its kind."""
     (form, power, shifted, apart, origin, n_delays, length), at = unpacked(_TIMES, data, at)
     end = at + n_delays + length
+    points, whole, known = _with(beside, np.zeros(len(points.void), kind), points)
     if points.fired is None or form > DECIMAL or power > MOST_DIGITS or shifted > 1 or end > len(data):
         raise ArchiveError("payload does not decode")
+    given = None
+    if known is not None:
+        spans = spans_as(whole, form, power, origin)
+        if spans is None:
+            raise ArchiveError("payload does not decode")
+        given = spans.low, spans.high, known
     delay = read_small(points.fired.lasers + 1, data[at : at + n_delays])
     numbers, sound = decode_times(
-        points.fired, Clocked(bool(shifted), apart, delay), data[at + n_delays : end]
+        points.fired, Clocked(bool(shifted), apart, delay), data[at + n_delays : end], given
     )
     require_sound(sound)
-    return from_spans(numbers, form, power, origin, kind), end
+    values = from_spans(numbers, form, power, origin, kind)
+    return values if known is None else values[~known], end
 
 
 def encode_timeline_record(values: Values, points: Points) -> bytes | None:
@@ -146,6 +179,22 @@ def encode_column_record(values: Values, points: Points, to_beat: int) -> bytes 
         if coded is not None and (best is None or len(coded) < len(best)):
             best, to_beat = coded, len(coded)
     return best
+
+
+def encode_whole_columns(values: Values, points: Points, beside: Values | None, to_beat: int) -> bytes | None:
+    """The same of a movable layer, with the points of the static one, which has the field ``beside``: only both are in rows and columns."""
+    if beside is None or points.both is None or beside.dtype != values.dtype:
+        return None
+    coded = encode_column_record(points.both.whole(values, beside), points.both.points, to_beat)
+    return coded and bytes([WHOLE]) + coded
+
+
+def decode_whole_columns(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+    """Inverse of :func:`encode_whole_columns`: the values, and where the record ends; ``at``: behind its kind."""
+    require_sound(points.both is not None, data[at : at + 1] == bytes([COLUMNS]))
+    assert points.both is not None
+    whole, end = decode_column_record(data, at + 1, kind, points.both.points)
+    return whole[points.both.movable], end
 
 
 def encode_columns_like(record: bytes, values: Values, points: Points) -> bytes | None:

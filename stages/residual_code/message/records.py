@@ -12,7 +12,20 @@ from salpcc.stages.entropy.buffer import as_array, require_sound, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.residual_code.message.points import Points
 
-CONSTANT, RESIDUALS, SYMBOLS, BY_LASER, TIMES, COLUMNS, TIMELINE, BLENDED, LEARNED, MULTIPLES = range(10)
+(
+    CONSTANT,
+    RESIDUALS,
+    SYMBOLS,
+    BY_LASER,
+    TIMES,
+    COLUMNS,
+    TIMELINE,
+    BLENDED,
+    LEARNED,
+    MULTIPLES,
+    RANKS,
+    WHOLE,
+) = range(12)
 Values = NDArray[Any]
 Integers = NDArray[np.int64]
 

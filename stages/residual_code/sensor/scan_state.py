@@ -20,11 +20,12 @@ from salpcc.stages.predict.hundredths import intensity_levels
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.residual_code.message import logged_scan
+from salpcc.stages.residual_code.message.logged_scan import Layered
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import CLOUD, FLOAT_INTENSITY, Header
 from salpcc.stages.residual_code.sensor.value_models import ValueModels
-from salpcc.stages.strays.stray_coder import Plan, plan
+from salpcc.stages.strays.stray_coder import Among, Plan, plan
 from salpcc.stages.strays.timeline import Timeline
 
 _PATIENCE = 2  # scans of a group whose points are sought by their times in vain: a search takes seconds
@@ -64,9 +65,16 @@ class Encoding:
     @cached_property
     def listed(self) -> Sweep:
         """The sweep as its message lists it: what lies in file order, a layer has in the order of its own points."""
-        if self.static is None or self.sweep.cloud is None:
+        if self.layered is None or self.sweep.cloud is None:
             return self.sweep
-        return alone(self.sweep, movable_mask(self.static, self.sweep, self.sensor))
+        return alone(self.sweep, self.layered.movable)
+
+    @cached_property
+    def layered(self) -> Layered | None:
+        """Which points of both layers the movable one has; None where the sweep is none."""
+        if self.static is None:
+            return None
+        return Layered(self.static, movable_mask(self.static, self.sweep, self.sensor))
 
     @property
     def topic(self) -> str:
@@ -84,11 +92,15 @@ class Encoding:
         times = None
         if sweep.cloud is not None and len(sweep.laser) == 0 and self.state.timeless < _PATIENCE:
             times = times_of(self.listed.cloud)  # type: ignore[arg-type]
+        among = None
+        if self.layered is not None and len(sweep.laser) == 0 and len(self.layered.static.laser) == 0:
+            among = Among(self.layered.static.stray_points[:, :3], self.layered.movable)
         found = plan(
             sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
             lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],
             turning=self.state.turning.get(self.topic),
             learned=self.state.lists.of_topic(self.topic) if self.state.learns else None,
+            among=among,
         )  # fmt: skip
         if found.turning is not None:
             self.state.turning[self.topic] = found.turning
@@ -99,7 +111,7 @@ class Encoding:
     @cached_property
     def logged(self) -> tuple[Scan, Points]:
         """The message's scan, and what its fields are predicted from."""
-        return logged_scan.known_of(self.listed, self.sensor, self.strays.told)
+        return logged_scan.known_of(self.listed, self.sensor, self.strays.told, self.layered)
 
     @cached_property
     def levels(self) -> NDArray[np.uint8] | None:
@@ -137,6 +149,13 @@ class Decoding:
     @cached_property
     def model(self) -> NDArray[np.float64]:
         return unproject(self.sensor, self.sweep.laser, self.sweep.tick, self.sweep.count)
+
+    @property
+    def static_points(self) -> NDArray[np.float32] | None:
+        """Points ``(T, 3)`` of the static layer, where all of them are strays."""
+        if self.static is None or len(self.static.laser):
+            return None
+        return np.ascontiguousarray(self.static.stray_points[:, :3])
 
     @property
     def intensity_is_field(self) -> bool:

@@ -169,7 +169,13 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
     header, sweep = scan.header, scan.sweep
     moved = header.motion if header.returns == 0 else None
     places, points, scan.timeline, sound = decode_strays(
-        header.strays, header.max_error, as_array(stream), scan.sensor, moved, scan.state.lists
+        header.strays,
+        header.max_error,
+        as_array(stream),
+        scan.sensor,
+        moved,
+        scan.state.lists,
+        scan.static_points,
     )
     require_sound(sound)
     if scan.timeline is not None:
@@ -270,10 +276,13 @@ def _decode_cloud(scan: Decoding, stream: bytes) -> None:
     if not scan.header.flags & CLOUD:
         return
     sweep, static = scan.sweep, scan.static
-    listed = sweep if static is None else alone(sweep, movable_mask(static, sweep, scan.sensor))
+    listed, layered = sweep, None
+    if static is not None:
+        layered = logged_scan.Layered(static, movable_mask(static, sweep, scan.sensor))
+        listed = alone(sweep, layered.movable)
     of_field = scan.field_of_intensity if scan.intensity_is_field else None
     found = logged_scan.decode_logged(
-        listed, scan.sensor, stream, of_field, scan.state.envelope, scan.state.fields, scan.timeline
+        listed, scan.sensor, stream, of_field, scan.state.envelope, scan.state.fields, scan.timeline, layered
     )
     scan.sweep = replace(found, stray_index=sweep.stray_index, lead=sweep.lead)
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
+from salpcc.stages.strays.aimed.aimed_layers import code_layer, learn_layer, take
 from salpcc.stages.strays.aimed.aimed_neighbours import (
     GUESSES,
     SURFACE,
@@ -127,6 +128,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
     models,
     room,
     learned,
+    static,
     state,
     data,
 ):
@@ -142,6 +144,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
             driver (:data:`~salpcc.stages.lattice.drivers.NO_DRIVER`: none).
         room: of :func:`new_room`.
         learned: models and what they see, of efforts above ``fast``, or None: then lasers, ticks and counts are coded in the two contexts of each.
+        static: the layer beside, where the points are those of both (:mod:`.aimed_layers`).
         motion: whether there is one, its six numbers, s of each point ``(S,)``, and whether what it leaves changes slowly.
     """
     parameters, constants, sines, cosines, count_size, phase, above, below, driver = sensor
@@ -168,9 +171,24 @@ def code_aimed(  # type: ignore[no-untyped-def]
     ) = room
     slots = len(slot_laser)
     base, base_cycle, pace, miss = 0, -1, 0, 0  # of firings: tick, number, ticks from one to the next
-    recent, earlier_one = -1, -1
+    recent, earlier_one, behind = -1, -1, 0
     for i in range(n):
-        kind = code_kind(writing, state, data, of_kind, kinds, i, left, up)
+        given = False  # of the static layer
+        if static.layered:
+            due, expected = -1, 0
+            if left > 0:
+                due = slot_laser[i % slots]
+                expected = base + relative[i % slots] + pace * (i // slots - base_cycle)
+            elif recent >= 0:
+                due = static.after[laser[recent]]
+                expected = tick[recent] + (hop[laser[recent], due] if due >= 0 else 0)
+            given = code_layer(writing, state, data, static, i, behind, due, expected, ticks) == 0
+            if given:
+                take(static, behind, i, points, kinds, laser, tick, level)
+                behind += 1
+        kind = np.int64(kinds[i])
+        if not given:
+            kind = code_kind(writing, state, data, of_kind, kinds, i, left, up)
         kinds[i] = kind
         if kind == OFF:
             continue
@@ -188,8 +206,8 @@ def code_aimed(  # type: ignore[no-untyped-def]
             slot = i % slots if left > 0 else -1
             known = left > 0 and slot_laser[slot] >= 0
             before = slot_laser[slot] if known else (np.int64(laser[recent]) if recent >= 0 else 0)
-            k = -1
-            if learned is not None and left == 0:
+            k = int(laser[i]) if given else -1
+            if learned is not None and left == 0 and not given:
                 earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
                 k = code_candidate(
                     writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
@@ -230,10 +248,10 @@ def code_aimed(  # type: ignore[no-untyped-def]
             if learned is not None and left == 0:
                 learn_order(learned.order, learned.heard, i, before, k)
                 off = code_tick(
-                    writing, state, data, learned.order, learned.heard, before, k,
+                    given, writing, state, data, learned.order, learned.heard, before, k,
                     expected, how == 0, tick[recent] if recent >= 0 else 0, ticks, off,
                 )  # fmt: skip
-            else:
+            elif not given:
                 off = code_number(
                     writing, state, data, of_tick, slot_size[slot] * CLASSES + miss,
                     of_pace, how * CLASSES + miss, off,
@@ -269,7 +287,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
             if learned is not None:
                 scale = d0, unit, middle / step
                 level[i] = code_count(
-                    writing, state, data, learned.counts, learned.counted, i, k, (place, upper, lower), (r, spread, apart), scale,
+                    given, writing, state, data, learned.counts, learned.counted, i, k, (place, upper, lower), (r, spread, apart), scale,
                     ticks, azimuth, inverse, errors, guess, MAX_LEVEL, level[i],
                 )  # fmt: skip
             else:
@@ -277,10 +295,12 @@ def code_aimed(  # type: ignore[no-untyped-def]
                     np.rint(min(max(((r - d0) / count_size - middle) / step, 0.0), float(MAX_LEVEL)))
                 )
                 size = np.int64(sizes[place, 0]) if place >= 0 else CLASSES - 1
-                number = code_number(
-                    writing, state, data, of_spread, bucket_of(spread, unit),
-                    of_level, min(bucket_of(apart, unit) // 2, CLASSES - 1) * CLASSES + size, level[i] - foretold,
-                )  # fmt: skip
+                number = level[i] - foretold
+                if not given:
+                    number = code_number(
+                        writing, state, data, of_spread, bucket_of(spread, unit),
+                        of_level, min(bucket_of(apart, unit) // 2, CLASSES - 1) * CLASSES + size, number,
+                    )  # fmt: skip
                 sizes[i, 0] = (size_of(abs(number)) + 1) // 2
                 level[i] = min(max(foretold + number, 0), MAX_LEVEL)
             count = level[i] * step + middle
@@ -308,10 +328,11 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 whole = whole_of(model + drift[same, c], form, per)
                 side = np.int64(sizes[old, 1 + c]) if old >= 0 else CLASSES - 1
                 close = np.int64(sizes[recent, 1 + c]) if recent >= 0 else CLASSES - 1
-                number = code_number(
-                    writing, state, data, of_fix, (c * CLASSES + side) * CLASSES + close, of_reach, c * 16 + far,
-                    whole_of(points[i, c], form, per) - whole if writing else 0,
-                )  # fmt: skip
+                number = whole_of(points[i, c], form, per) - whole if writing or given else 0
+                if not given:
+                    number = code_number(
+                        writing, state, data, of_fix, (c * CLASSES + side) * CLASSES + close, of_reach, c * 16 + far, number
+                    )  # fmt: skip
                 sizes[i, 1 + c] = (size_of(abs(number)) + 1) // 2
                 points[i, c] = coordinate_of(whole + number, form, per)
                 if drifting:  # six numbers leave a little of a motion by place, and it changes slowly
@@ -319,4 +340,6 @@ def code_aimed(  # type: ignore[no-untyped-def]
         else:
             points[i, 0], points[i, 1], points[i, 2] = x, y, z
         if kind == AIMED:
+            if static.layered:
+                learn_layer(static, i, k, np.int64(laser[recent]) if recent >= 0 else -1)
             earlier_one, recent = recent, i

@@ -115,15 +115,25 @@ def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
 
 
 def write_body(
-    chosen: tuple[Way, Aimed], points: F32, sensor: SensorModel, write_rest: Callable[[F32], bytes]
+    chosen: tuple[Way, Aimed],
+    points: F32,
+    sensor: SensorModel,
+    write_rest: Callable[[F32], bytes],
+    movable: NDArray[np.bool_] | None = None,
 ) -> bytes | None:
-    """Encode points ``(S, 3)``; ``write_rest`` encodes those off the lattice. None where a reader would have other points."""
+    """Encode points ``(S, 3)``; ``write_rest`` encodes those off the lattice. None where a reader would have other points.
+
+    Args:
+        movable: ``(S,)``, which of the points are encoded where a reader has the others, the static layer.
+    """
     way, aimed = chosen
     out = np.empty(32 * len(points) + 4096, np.uint8)
-    written = write_aimed(aimed, points, sensor, way, out)
+    written = write_aimed(aimed, points, sensor, way, out, movable)
     if written < 0:
         return None
     off = aimed.kinds == OFF
+    if movable is not None:
+        off &= movable
     number = 0 if way.learned is None else way.learned.number
     head = _BODY.pack(way.form + _SHUFFLED * way.shuffled + (number << 4), way.step, int(off.sum()), written)
     return (
@@ -143,9 +153,14 @@ def read_body(
     s: NDArray[np.float64] | None = None,
     clock: Clock | None = None,
     lists: LearnedLists | None = None,
-) -> tuple[F32, Array, bool]:
-    """Inverse of :func:`write_body`: points ``(n, 3)``, their lasers ``(n,)`` (OFF_LASER off the lattice), and whether the data made sense."""
-    nothing = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8), False
+    static: F32 | None = None,
+) -> tuple[F32, Array, NDArray[np.bool_], bool]:
+    """Inverse of :func:`write_body`: points ``(n, 3)``, their lasers ``(n,)`` (OFF_LASER off the lattice), which are movable, and whether the data made sense.
+
+    Args:
+        static: points ``(T, 3)`` of the static layer, of which there are ``n`` with those that are read.
+    """
+    nothing = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8), np.ones(n, np.bool_), False
     if n > MOST_POINTS or len(data) < _BODY.size:
         return nothing
     form, step, off, length = _BODY.unpack(data[: _BODY.size].tobytes())
@@ -164,15 +179,16 @@ def read_body(
     moved = None if motion is None else tuple(motion.tolist())
     learned = lists.of_number(number) if lists is not None and number else None
     way = Way(layout, form, per, form != ALONG, step, moved, s, clock, learned, shuffled)
-    aimed, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]))
+    aimed, movable, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]), static)
     if learned is not None:
         learned.settle()
     points = aimed.points
-    if not sound or int((aimed.kinds == OFF).sum()) != off:
+    are_off = (aimed.kinds == OFF) & movable
+    if not sound or int(are_off.sum()) != off:
         return nothing
     if off:
-        points[aimed.kinds == OFF], sound = read_rest(off, np.ascontiguousarray(data[end:]))
-    return points, lasers_of(aimed), bool(sound and (off > 0 or end == len(data)))
+        points[are_off], sound = read_rest(off, np.ascontiguousarray(data[end:]))
+    return points, lasers_of(aimed), movable, bool(sound and (off > 0 or end == len(data)))
 
 
 def lasers_of(aimed: Aimed) -> Array:

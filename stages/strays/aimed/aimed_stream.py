@@ -17,6 +17,7 @@ from salpcc.stages.lattice.list_motion import places, redo, undo
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, turn_tables
 from salpcc.stages.strays.aimed.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed, new_room
+from salpcc.stages.strays.aimed.aimed_layers import Beside, beside, nothing_beside
 from salpcc.stages.strays.aimed.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
 from salpcc.stages.strays.learned.learned_lists import Learned
 from salpcc.stages.strays.learned.moved_sweep import Clock, Passing, Turn
@@ -147,22 +148,41 @@ def _decoded(
     return redo(model, s, motion), redo(origin, s, motion)
 
 
-def write_aimed(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, out: NDArray[np.uint8]) -> int:
+def write_aimed(
+    aimed: Aimed,
+    points: F32,
+    sensor: SensorModel,
+    way: Way,
+    out: NDArray[np.uint8],
+    movable: NDArray[np.bool_] | None = None,
+) -> int:
     """Write ``points`` whose lattice places are ``aimed``; return the bytes written to ``out``.
 
     -1: ``out`` is full, or a reader would have other points.
+
+    Args:
+        movable: ``(S,)``, which of the points are written where a reader has the others, the static layer.
     """
     state = start_encoder()
     told = points.copy()
-    _code(True, told, aimed, sensor, way, 0.0, state, out)
+    static = None
+    if movable is not None:
+        static = _beside(_of(aimed, ~movable), points[~movable], movable.astype(np.uint8))
+    _code(True, told, aimed, sensor, way, 0.0, state, out, static)
     on = aimed.kinds != OFF
     if (told.view(np.int32)[on] != points.view(np.int32)[on]).any():
         return -1
     return int(finish_encoder(state, out))
 
 
-def read_aimed(n: int, sensor: SensorModel, way: Way, data: NDArray[np.uint8]) -> tuple[Aimed, bool]:
-    """Inverse of :func:`write_aimed`: ``n`` points, and whether the data made sense; those of kind OFF are zeros."""
+def read_aimed(
+    n: int, sensor: SensorModel, way: Way, data: NDArray[np.uint8], static: F32 | None = None
+) -> tuple[Aimed, NDArray[np.bool_], bool]:
+    """Inverse of :func:`write_aimed`: ``n`` points, which of them are movable, and whether the data made sense; those of kind OFF are zeros.
+
+    Args:
+        static: points ``(T, 3)`` of the static layer, of which there are ``n`` with those that are read.
+    """
     empty = Aimed(
         np.zeros((n, 3), np.float32),
         np.zeros(n, np.uint8),
@@ -170,9 +190,24 @@ def read_aimed(n: int, sensor: SensorModel, way: Way, data: NDArray[np.uint8]) -
         np.zeros(n, np.int64),
         np.zeros(n, np.int64),
     )
+    movable = np.ones(n, np.uint8)
+    layer = None
+    if static is not None:
+        known = put(static, sensor, way, EXACT_REACH if way.exact else 0.0)
+        layer = _beside(known, static, movable)
     state = start_decoder(data)
-    _code(False, empty.points, empty, sensor, way, 0.0, state, data)
-    return empty, bool(state[3] == 0)
+    _code(False, empty.points, empty, sensor, way, 0.0, state, data, layer)
+    return empty, movable > 0, bool(state[3] == 0)
+
+
+def _of(aimed: Aimed, some: NDArray[np.bool_]) -> Aimed:
+    """Return some ``(S,)`` of the points."""
+    return Aimed(*(getattr(aimed, name)[some] for name in ("points", "kinds", "laser", "tick", "level")))
+
+
+def _beside(known: Aimed, points: F32, movable: NDArray[np.uint8]) -> Beside:
+    """Return a static layer whose ``points`` are ``known``."""
+    return beside(movable, points, known.kinds, known.laser, known.tick, known.level)
 
 
 def _code(
@@ -184,6 +219,7 @@ def _code(
     reach: float,
     state: I64,
     data: NDArray[np.uint8],
+    static: Beside | None = None,
 ) -> None:
     motion = False, (0.0,) * 6, np.zeros(1), False
     if way.motion is not None:
@@ -199,7 +235,8 @@ def _code(
         learned = way.learned.walk(own, passing, sensor, way.shuffled)
     code_aimed(
         writing, points, aimed.kinds, aimed.laser, aimed.tick, aimed.level, *way.layout, way.form, float(way.per), way.exact,
-        way.step, reach, _tables(sensor), motion, new_models(), room, learned, state, data,
+        way.step, reach, _tables(sensor), motion, new_models(), room, learned,
+        static or nothing_beside(), state, data,
     )  # fmt: skip
 
 

@@ -199,12 +199,13 @@ def _guess_before(seen: CountSeen, w, i, place, upper, lower, scale, spread, tru
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def code_count(  # type: ignore[no-untyped-def]
-    writing, state: State, data: Buffer, models: CountModels, seen: CountSeen, i, k, neighbours, told, scale, ticks, azimuth, inverse,
+    given, writing, state: State, data: Buffer, models: CountModels, seen: CountSeen, i, k, neighbours, told, scale, ticks, azimuth, inverse,
     errors, guess, most, level,
 ):  # fmt: skip
     """Write the level of point i of laser k, or read and return it.
 
     Args:
+        given: the level is known already, and only learned from.
         neighbours: last point of the laser, nearest above and below; -1: none.
         told: distance, spread and range of the guesses together, as :func:`~salpcc.stages.strays.aimed.aimed_neighbours.guess_inverse` returns them.
         scale: range of level 0 less half a level, metres a level, and 0.5 of a level less a count, in levels.
@@ -263,19 +264,11 @@ def code_count(  # type: ignore[no-untyped-def]
     missed = signed_bucket(seen.missed[place]) if place >= 0 else 4
     missed_above = signed_bucket(seen.missed[upper]) if upper >= 0 else 4
     fill_places(places, k, apart, size, wide, of_place, of_before, missed, missed_above)
-    found = code_mixed_number(
-        writing,
-        state,
-        data,
-        level,
-        centre,
-        guesses,
-        n,
-        models.numbers,
-        places,
-        of * SPREADS + wide,
-        seen.opinions,
-    )
+    found = level
+    if not given:
+        found = code_mixed_number(
+            writing, state, data, level, centre, guesses, n, models.numbers, places, of * SPREADS + wide, seen.opinions
+        )  # fmt: skip
     found = min(max(found, 0), most)
     learn_trust(found, guesses, n, trust, of)
     seen.last[k] = _AGAIN if again else _FIRST

@@ -164,6 +164,7 @@ def learn_order(models: OrderModels, seen: OrderSeen, i: int, before: int, laser
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def code_tick(
+    given: bool,
     writing: bool,
     state: State,
     data: Buffer,
@@ -180,6 +181,7 @@ def code_tick(
     """Write by how many ticks the point of ``laser`` after one of laser ``before`` is off the ``expected`` one, or read and return it.
 
     Args:
+        given: it is known already, and only taken note of.
         known: this pair of lasers was seen before.
         tick_before: of the point before; ``turn``: ticks in one.
     """
@@ -197,11 +199,13 @@ def code_tick(
     places[4] = _FIRST_TICK[4] + laser
     for c in range(len(places)):
         places[c] = (_AFTER_NEXT + places[c]) * _FLAG_NODES
-    other = code_told_bit(
-        writing, state, data, np.int64(off != 0), 0.0, 0, models.flags, places, 1, seen.opinions
-    )
+    other = np.int64(0)
+    if not given:
+        other = code_told_bit(
+            writing, state, data, np.int64(off != 0), 0.0, 0, models.flags, places, 1, seen.opinions
+        )
     if other == 0:
-        off = 0
+        off = off if given else 0
     else:
         guesses.mean[0], guesses.mean[1], guesses.mean[2], guesses.mean[3] = 0.0, same, again, 0.0
         for j in range(_TICK_GUESSES):

@@ -26,30 +26,6 @@ LASERS, COLUMNS = 32, 512
 MOTION = np.array([-0.5, 0.01, 0.01, 1e-3, -5e-4, 3e-3])
 
 
-@pytest.fixture(scope="module")
-def fan() -> SensorModel:
-    """Levers, beams that are turned against each other, 1 mm counts: much like an OS-1."""
-    rng = np.random.default_rng(0)
-    return SensorModel(
-        "fan", 1024, 0.001, np.radians(np.linspace(16, -16, LASERS)), np.full(LASERS, 0.036), rng.normal(0, 0.001, LASERS),
-        rng.uniform(-3e-3, 3e-3, LASERS), np.full(LASERS, -2e-4), np.zeros(LASERS, np.int64),
-    )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def rows(fan: SensorModel) -> Points:
-    """Ground and walls, ``(LASERS, COLUMNS, 3)``, float32 as computed; zeros where nothing came back."""
-    rng = np.random.default_rng(1)
-    laser = np.repeat(np.arange(LASERS), COLUMNS)
-    tick = np.tile(np.arange(COLUMNS) * 2, LASERS)
-    wall = 12.0 + 5.0 * np.sin(tick / 1024 * 6 * np.pi) + tick // 100 % 2 * 3.0
-    ground = 1.7 / np.maximum(-np.sin(fan.theta[laser]), 0.02)
-    count = np.rint((np.minimum(wall, ground) + rng.normal(0, 0.01, len(tick))) / fan.count)
-    points = unproject(fan, laser.astype(np.uint8), tick.astype(np.int32), count).astype(np.float32)
-    points[rng.random(len(points)) < 0.05] = 0
-    return points.reshape(LASERS, COLUMNS, 3)
-
-
 def in_order(rows: Points, order: str) -> Points:
     points = rows if order.startswith("rows") else rows.transpose(1, 0, 2)
     points = points.reshape(-1, 3).copy()
