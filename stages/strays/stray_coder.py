@@ -67,7 +67,8 @@ def _form(points: F32, max_error: float) -> tuple[int, int, float]:
     step = ray_step(max_error)
     if step > 0.0:
         return ALONG, 1, step
-    sample = points[np.isfinite(points).all(axis=1)][:: len(points) // 4000 + 1].astype(np.float64)
+    returns = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]  # zeros are of any form
+    sample = returns[:: len(returns) // 4000 + 1].astype(np.float64)
     for per in _UNITS:
         same = (np.rint(sample * per) / per).astype(np.float32) == sample
         if len(sample) and same.all(axis=1).mean() > _ON_GRID:

@@ -74,6 +74,17 @@ def test_what_is_off_the_lattice_keeps_its_place(fan: SensorModel, rows: Points,
     assert snapped[~finite].tobytes() == points[~finite].tobytes()
 
 
+def test_a_cloud_that_is_nearly_void(fan: SensorModel, rows: Points) -> None:
+    """Zeros are whole millimetres, but say nothing of the points that are none."""
+    points = in_order(rows, "rows")
+    points[np.arange(len(points)) % 20 > 0] = 0
+    data = encode_strays(np.arange(len(points)), plan(points, 0.0, fan))
+    _, decoded, _, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), fan)
+    assert sound
+    assert decoded.tobytes() == points.tobytes()
+    assert data[4] == AIMED
+
+
 def test_firings_rounded_to_millimetres(fan: SensorModel, rows: Points) -> None:
     """Whole millimetres are corrected as such; a coordinate of -0.0 is no whole number of anything."""
     points = (np.rint(in_order(rows, "firings, returns") * 1000.0) / 1000.0).astype(np.float32)
