@@ -55,13 +55,8 @@ def keep(
     stays[on[here]] = True
     stays[off[astray]] = True
     return replace(
-        sweep,
-        laser=sweep.laser[here],
-        tick=sweep.tick[here],
-        count=sweep.count[here],
+        _some(sweep, here),
         intensity=sweep.intensity[here],
-        millimetre=sweep.millimetre[here],
-        ulp=sweep.ulp[here],
         classes=None if sweep.classes is None else sweep.classes[here],
         stray_index=(np.cumsum(stays) - 1)[off[astray]],
         stray_points=sweep.stray_points[astray],
@@ -69,6 +64,18 @@ def keep(
         cloud=sweep.cloud and sweep.cloud.keep(stays),
         labels=None if sweep.labels is None else sweep.labels[here],
         stray_labels=None if sweep.stray_labels is None else sweep.stray_labels[astray],
+    )
+
+
+def _some(sweep: Sweep, at: NDArray[np.int64]) -> Sweep:
+    """Return the sweep with the returns ``at`` only: where they lie, not what else is known of them."""
+    return replace(
+        sweep,
+        laser=sweep.laser[at],
+        tick=sweep.tick[at],
+        count=sweep.count[at],
+        millimetre=sweep.millimetre[at],
+        ulp=sweep.ulp[at],
     )
 
 
@@ -166,18 +173,6 @@ def _is_coarse(sweep: Sweep, max_error: float) -> bool:
         return False
     bits = np.ascontiguousarray(sweep.stray_points[:, :3], np.float32).view(np.int32)
     return sweep.cloud.rings() is not None and bool((bits & 0x1FFF == 0).all())
-
-
-def _some(sweep: Sweep, at: NDArray[np.int64]) -> Sweep:
-    """Return the sweep with the returns ``at`` only, for their points' sake."""
-    return replace(
-        sweep,
-        laser=sweep.laser[at],
-        tick=sweep.tick[at],
-        count=sweep.count[at],
-        millimetre=sweep.millimetre[at],
-        ulp=sweep.ulp[at],
-    )
 
 
 def quantise(
