@@ -109,13 +109,12 @@ def align(
     m: int,
     frame: F32,
     index: I32,
-    value: F32,
 ) -> None:
-    """Move a coded ring into the frame of the current one and interpolate it at the current azimuths.
+    """Move a coded ring into the frame of the current one.
 
     ``lever`` is the difference of the two lever arms in metres. Fills ``frame`` (azimuths of the ring,
     margins included), and for each of the ``m`` current azimuths ``index`` (the last return of the
-    ring not after it) and ``value`` (inverse range there: linear, or the nearer one across an edge).
+    ring not after it).
     """
     shift = lever_ticks(lever)
     for i in range(n + 2 * PAD):
@@ -127,11 +126,3 @@ def align(
         while j < last and frame[j + 1] <= a:
             j += 1
         index[i] = j
-        span = frame[j + 1] - frame[j]
-        t = (a - frame[j]) / span if span > _ZERO else _ZERO
-        t = min(max(t, _ZERO), _ONE)
-        difference = inverse[j + 1] - inverse[j]
-        if abs(difference) > _EDGE * inverse[j] or span > _SPAN:
-            value[i] = inverse[j + 1] if t > _HALF else inverse[j]
-        else:
-            value[i] = inverse[j] + t * difference

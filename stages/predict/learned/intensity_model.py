@@ -48,6 +48,7 @@ from salpcc.stages.predict.learned.walks import (
     PREDICT,
     RINGS,
     Rows,
+    next_wave,
     places,
     to_decode,
     to_predict,
@@ -86,8 +87,9 @@ class _Scratch(NamedTuple):
 
 
 @inline
-def _known(k: int, starts: I64, near: NDArray[np.int32], reached: I64) -> bool:
+def _known(k, given):  # type: ignore[no-untyped-def]
     """Whether all is known that the next return of ring k, which has one, is predicted from."""
+    starts, near, reached = given
     i = reached[np.uint64(k)]
     for r in range(2):
         up = k - 1 - r
@@ -96,23 +98,6 @@ def _known(k: int, starts: I64, near: NDArray[np.int32], reached: I64) -> bool:
             if j + (4 if r == 0 else 2) >= PAD + reached[np.uint64(up)]:
                 return False
     return True
-
-
-@inline
-def _next_wave(top: int, starts: I64, near: NDArray[np.int32], reached: I64, wave: I64) -> tuple[int, int]:
-    """Fill ``wave`` with the rings of the next one; the first ring that has returns left, from ``top`` on, and how many rings."""
-    n = begun = 0
-    while reached[np.uint64(top)] == starts[top + 1] - starts[top]:
-        top += 1
-    for k in range(top, len(starts) - 1):
-        if reached[np.uint64(k)] < starts[k + 1] - starts[k]:
-            begun += 1
-            if _known(k, starts, near, reached):
-                wave[n] = k
-                n += 1
-            if begun == RINGS:
-                break
-    return top, n
 
 
 @inline
@@ -149,7 +134,7 @@ def _walk(mode, starts, intensity, quotients, layers, coded, rows, rings, reache
     shift = layers.shifts[len(layers.shifts) - 1] + SCALE_BITS
     done = top = 0
     while done < len(intensity):
-        top, n = _next_wave(top, starts, rings.near, reached.n, wave)
+        top, n = next_wave(_known, (starts, rings.near, reached.n), top, starts, reached.n, wave)
         for p in range(n):
             k = wave[p]
             _predict(p, k, starts, rings, reached, quotients[np.uint64(k)], slots, scratch, before, seen)
@@ -226,14 +211,14 @@ def walk(  # type: ignore[no-untyped-def]
     size = azimuth.shape[1]
     seen = None if before is None else see(before, starts, azimuth, constants)
     above, near = np.zeros((n_rings, size), np.float32), np.full((3 * n_rings, size), PAD, np.int32)
-    unseen, unused = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    unseen = np.zeros(size, np.float32)
     for k in range(n_rings):
         m = starts[k + 1] - starts[k]
         for r, ring in enumerate((k - 1, k - 2, k + 1)):
             if m > 0 and 0 <= ring < n_rings and starts[ring] < starts[ring + 1]:
                 align(
                     azimuth[ring], inverse[ring], starts[ring + 1] - starts[ring], constants[ring, 4] - constants[k, 4],
-                    azimuth[k], m, above[k] if r == 0 else unseen, near[3 * k + r], unused,
+                    azimuth[k], m, above[k] if r == 0 else unseen, near[3 * k + r],
                 )  # fmt: skip
     rings = Rings(azimuth, inverse, np.zeros((n_rings, size), np.float32), above, near)
     reached = _Reached(

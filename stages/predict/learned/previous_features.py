@@ -87,7 +87,6 @@ def see(before: WarpedSweep, starts: NDArray[np.int64], azimuth: F32, constants:
     frames = np.zeros((3 * n_rings, before.azimuth.shape[1]), np.float32)
     indices = np.full((3 * n_rings, azimuth.shape[1]), PAD, np.int32)
     there = np.zeros((n_rings, LANES), np.float32)
-    unused = np.zeros(azimuth.shape[1], np.float32)
     for k in range(n_rings):
         m = starts[k + 1] - starts[k]
         for r in range(3):
@@ -98,7 +97,7 @@ def see(before: WarpedSweep, starts: NDArray[np.int64], azimuth: F32, constants:
             there[k, first : first + (OWN if r == 1 else NEXT)] = _ONE
             align(
                 before.azimuth[row], before.inverse[row], before.number[row], -constants[k, 4], azimuth[k], m,
-                frames[3 * k + r], indices[3 * k + r], unused,
+                frames[3 * k + r], indices[3 * k + r],
             )  # fmt: skip
     return Seen(frames, indices, there, np.zeros(LANES, np.float32), np.zeros(LANES, np.float32))
 

@@ -52,6 +52,7 @@ from salpcc.stages.predict.learned.walks import (
     PREDICT,
     RINGS,
     Rows,
+    next_wave,
     places,
     to_decode,
     to_predict,
@@ -126,8 +127,9 @@ class _Scratch(NamedTuple):
 
 
 @inline
-def _see(k: int, starts: I64, rings: Rings, reached: _Reached) -> bool:
+def _see(k, sweep):  # type: ignore[no-untyped-def]
     """Find what is above the next return of ring k, which has one; whether all that it is predicted from is known."""
+    starts, rings, reached = sweep.starts, sweep.rings, sweep.reached
     ring, i = np.uint64(k), reached.n[np.uint64(k)]
     a = rings.azimuth[ring, np.uint64(PAD + i)]
     n = 0 if k < 1 else starts[k] - starts[k - 1]
@@ -181,24 +183,6 @@ def _place(k, at, a, w, error, rings, levers):  # type: ignore[no-untyped-def]
         rings.above[np.uint64(k + 1), place] = a + levers[np.uint64(k + 1), 0] * w
     if k + 2 < rings.azimuth.shape[0]:
         rings.second[np.uint64(k + 2), place] = a + levers[np.uint64(k + 2), 1] * w
-
-
-@inline
-def _next_wave(top: int, sweep: _Sweep, wave: I64) -> tuple[int, int]:
-    """Fill ``wave`` with the rings of the next one; the first ring that has returns left, from ``top`` on, and how many rings."""
-    starts, reached = sweep.starts, sweep.reached
-    n = begun = 0
-    while reached.n[np.uint64(top)] == starts[top + 1] - starts[top]:
-        top += 1
-    for k in range(top, len(starts) - 1):
-        if reached.n[np.uint64(k)] < starts[k + 1] - starts[k]:
-            begun += 1
-            if _see(k, starts, sweep.rings, reached):
-                wave[n] = k
-                n += 1
-            if begun == RINGS:
-                break
-    return top, n
 
 
 @inline
@@ -277,7 +261,7 @@ def _walk(mode, sweep, levels, layers, coded, rows, wave, scratch, before, seen)
         components += PREVIOUS_PREDICTORS
     done = top = 0
     while done < len(level):
-        top, n = _next_wave(top, sweep, wave)
+        top, n = next_wave(_see, sweep, top, starts, reached.n, wave)
         for p in range(n):
             ring = np.uint64(wave[p])
             laser = Laser(constants[ring, 0], constants[ring, 1], sweep.heights[ring], step_value)

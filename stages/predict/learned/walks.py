@@ -14,9 +14,32 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.intervals import STATES, begin, ended
 from salpcc.stages.entropy.rans import Words
+from salpcc.stages.predict.vectors import inline
 
 PREDICT, DECODE, COLLECT = 0, 1, 2
 RINGS = 8  # at a time
+
+
+@inline
+def next_wave(is_known, given, top, starts, reached, wave):  # type: ignore[no-untyped-def]
+    """Fill ``wave`` with the rings of the next one; return the first ring that has returns left, from ``top`` on, and how many rings.
+
+    Args:
+        is_known: of ring k, which has returns left, and ``given``, whether all is known that its next one is predicted from.
+        starts: where each ring starts ``(L + 1,)``; reached: how many returns of it are known ``(L,)``.
+    """
+    n = begun = 0
+    while reached[np.uint64(top)] == starts[top + 1] - starts[top]:
+        top += 1
+    for k in range(top, len(starts) - 1):
+        if reached[np.uint64(k)] < starts[k + 1] - starts[k]:
+            begun += 1
+            if is_known(k, given):
+                wave[n] = k
+                n += 1
+            if begun == RINGS:
+                break
+    return top, n
 
 
 class Coded(NamedTuple):
