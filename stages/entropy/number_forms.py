@@ -109,10 +109,10 @@ def spans_as(values: Values, form: int, power: int, origin: int) -> Spans | None
     if form == DECIMAL:
         whole = np.rint(values * 10.0**power).astype(np.int64)
         return Spans(DECIMAL, power, 0, whole, whole)
-    off = to_bits(values) - origin
+    bits = to_bits(values)
     if form == BITS:
-        return Spans(BITS, 0, origin, off, off)
-    low = ((order(to_bits(values), 64) - origin) << _SHIFT) - (1 << (_SHIFT - 1))
+        return Spans(BITS, 0, origin, bits - origin, bits - origin)
+    low = ((order(bits, 64) - origin) << _SHIFT) - (1 << (_SHIFT - 1))
     return Spans(ORDERED, 0, origin, low, low + (1 << _SHIFT) - 1)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,13 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import middle_counts, return_places, sweep_to_scan
 
 _T = TypeVar("_T", bound=np.generic)
+
+
+class Layered(NamedTuple):
+    """The static layer of a scan, and which points ``(N,)`` of both layers, in file order, are of the movable one."""
+
+    static: Sweep
+    movable: NDArray[np.bool_]
 
 
 def return_keys(sweep: Sweep, sensor: SensorModel) -> NDArray[np.float64]:
@@ -90,21 +97,21 @@ def both(
     a, b = (scan_of(layer) if scan_of else sweep_to_scan(layer, sensor) for layer in layers)
     classes = None
     if a.classes is not None and b.classes is not None:
-        classes = _merged(mask, a.classes, b.classes)
+        classes = merged(mask, a.classes, b.classes)
     labels = offset = None
     if a.labels is not None and b.labels is not None:
-        labels = _merged(mask, a.labels, b.labels)
+        labels = merged(mask, a.labels, b.labels)
     if a.offset is not None and b.offset is not None:
-        offset = _merged(mask, a.offset, b.offset)
+        offset = merged(mask, a.offset, b.offset)
     cloud = a.cloud
     if a.cloud is not None and b.cloud is not None:
-        rest, whole = _merged(mask, a.cloud.rest, b.cloud.rest), len(mask) == static.n_points
+        rest, whole = merged(mask, a.cloud.rest, b.cloud.rest), len(mask) == static.n_points
         loose = (a.cloud.loose or b.cloud.loose) if whole else b""
         cloud = replace(a.cloud, rest=rest, loose=loose, whole=whole)
     return replace(
         a,
-        points=_merged(mask, a.points, b.points),
-        intensity=_merged(mask, a.intensity, b.intensity),
+        points=merged(mask, a.points, b.points),
+        intensity=merged(mask, a.intensity, b.intensity),
         classes=classes,
         motion=a.motion if a.motion is not None else b.motion,
         cloud=cloud,
@@ -114,8 +121,8 @@ def both(
     )
 
 
-def _merged(mask: NDArray[np.bool_], static: NDArray[_T], movable: NDArray[_T]) -> NDArray[_T]:
-    """Put the values of both layers in file order."""
+def merged(mask: NDArray[np.bool_], static: NDArray[_T], movable: NDArray[_T]) -> NDArray[_T]:
+    """Put the values of both layers in file order, those of points that ``mask (N,)`` marks from the movable one."""
     out = np.empty((len(mask), *static.shape[1:]), static.dtype)
     out[~mask], out[mask] = static, movable
     return out

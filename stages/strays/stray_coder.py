@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.buffer import room_for, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.lattice.layers import merged
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
@@ -166,7 +167,7 @@ def plan(
     exact = settled and step == 0.0
     like = like if exact else None
     if sensor is not None and among is not None and motion is None:
-        whole = _merged(points, among)
+        whole = merged(among.movable, among.static, points)
         chosen = choose(whole, fix, per, max_error, sensor, None, True, like=like, learned=learned)
         if chosen is not None:
             return Plan(whole, max_error, chosen[0].layout, fix, per, step, sensor, chosen, among=among)
@@ -189,13 +190,6 @@ def plan(
     return min(aimed, rays, key=_size) if aimed else rays
 
 
-def _merged(points: F32, among: Among) -> F32:
-    """Return the points ``(S, 3)`` of both layers."""
-    whole = np.empty((len(among.movable), 3), np.float32)
-    whole[among.movable], whole[~among.movable] = points, among.static
-    return whole
-
-
 def _moved_in_time(
     points: F32,
     form: int,
@@ -214,16 +208,16 @@ def _moved_in_time(
     motion, reference = found
     s = timed_places(times, reference)
     chosen = choose(points, fix, per, 0.0, sensor, motion, True, s, Clock.of(times), like, learned)
-    moved = write_moved(chosen, points, sensor, times, reference, _rest) if chosen else None
+    moved = write_moved(chosen, points, sensor, times, reference, _rest(0.0)) if chosen else None
     if chosen is None or moved is None:
         return None
     layout = chosen[0].layout
     return Plan(points, 0.0, layout, form, per, 0.0, sensor, chosen, lanes, (MOVED, *moved))
 
 
-def _rest(points: F32) -> bytes:
-    """Points ``(S, 3)`` off the lattice, exactly."""
-    return encode_strays(np.arange(len(points)), plan(points, 0.0))
+def _rest(max_error: float) -> Callable[[F32], bytes]:
+    """Return what encodes points ``(S, 3)`` off the lattice."""
+    return lambda off: encode_strays(np.arange(len(off)), plan(off, max_error))
 
 
 def snap(points: F32, max_error: float, sensor: SensorModel | None = None, motion: Motion = None) -> F32:
@@ -261,11 +255,7 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
     if found.chosen is None or found.sensor is None:
         return _on_rays(found, first)
     way = found.chosen[0]
-
-    def rest(off: F32) -> bytes:
-        return encode_strays(np.arange(len(off)), plan(off, found.max_error))
-
-    body = write_body(found.chosen, found.points, found.sensor, rest)
+    body = write_body(found.chosen, found.points, found.sensor, _rest(found.max_error))
     if body is None:
         return _on_rays(plan(found.points, found.max_error, lanes=found.lanes), first)
     coded = _HEAD.pack(len(first), AIMED, *way.layout, found.per) + first + body
@@ -276,12 +266,8 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
 
 def _encode_among(places: NDArray[np.int64], found: Plan, among: Among) -> bytes:
     """Encode points among those of the static layer, with which come their places."""
-
-    def rest(off: F32) -> bytes:
-        return encode_strays(np.arange(len(off)), plan(off, found.max_error))
-
     assert found.chosen is not None and found.sensor is not None
-    body = write_body(found.chosen, found.points, found.sensor, rest, among.movable)
+    body = write_body(found.chosen, found.points, found.sensor, _rest(found.max_error), among.movable)
     if body is None:
         return encode_strays(places, plan(found.points[among.movable], found.max_error))
     return _HEAD.pack(0, AMONG, *found.chosen[0].layout, found.per) + body
@@ -318,32 +304,12 @@ def decode_strays(
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     body = np.ascontiguousarray(data[begin:])
-    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists)
-    if form == AMONG:
-        return nothing if static is None else _read_among(given, static)
+    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists, static)
+    found = row.read(given) if row else _Read(*read_points(n, (left, up), form, per, step, body))
+    if found.places is not None:
+        return found.places, found.points, found.told, found.sound
     rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
-    places = np.cumsum(rows[:, 0] + 1) - 1
-    if row is not None:
-        points, told, whole = row.read(given)
-    else:
-        points, whole = read_points(n, (left, up), form, per, step, body)
-        told = None
-    return places, points, told, bool(sound and whole)
-
-
-def _read_among(given: _Given, static: F32) -> tuple[NDArray[np.int64], F32, Timeline | None, bool]:
-    """Read points among those of the static layer, and their places."""
-    n, layout, per, max_error, data, sensor, _, lists = given
-    assert sensor is not None
-    exact = ray_step(max_error) == 0.0
-    both = n + len(static)
-    points, _, movable, sound = read_body(
-        both, layout, per, exact, data, sensor, None, given.rest, lists=lists, static=static
-    )
-    places = np.flatnonzero(movable)
-    if len(places) != n:
-        return np.zeros(n, np.int64), np.zeros((n, 3), np.float32), None, False
-    return places, np.ascontiguousarray(points[places]), None, sound
+    return np.cumsum(rows[:, 0] + 1) - 1, found.points, found.told, bool(sound and found.sound)
 
 
 class _Given(NamedTuple):
@@ -357,32 +323,55 @@ class _Given(NamedTuple):
     sensor: SensorModel | None
     motion: Motion
     lists: LearnedLists | None
+    static: F32 | None
 
     def rest(self, n: int, data: NDArray[np.uint8]) -> tuple[F32, bool]:
         """Read the ``n`` points off the lattice."""
         return decode_strays(n, self.max_error, data)[1::2]
 
 
-_Points = tuple[
-    F32, Timeline | None, bool
-]  # points, their lasers and times where they are told, whether the data made sense
+class _Read(NamedTuple):
+    """What a reader returns: points, whether the data made sense, their lasers and times where they are told, and their places where these come with them."""
+
+    points: F32
+    sound: bool
+    told: Timeline | None = None
+    places: NDArray[np.int64] | None = None
 
 
-def _read_aimed(given: _Given) -> _Points:
-    n, layout, per, max_error, data, sensor, motion, lists = given
+def _read_aimed(given: _Given) -> _Read:
+    n, layout, per, max_error, data, sensor, motion, lists, _ = given
     assert sensor is not None
     exact = ray_step(max_error) == 0.0
-    points, _, _, whole = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
-    return points, None, whole
+    points, _, _, sound = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
+    return _Read(points, sound)
 
 
-def _read_moved(given: _Given) -> _Points:
-    assert given.sensor is not None
-    return read_moved(given.n, given.layout, given.per, given.data, given.sensor, given.rest, given.lists)
+def _read_among(given: _Given) -> _Read:
+    n, layout, per, max_error, data, sensor, _, lists, static = given
+    assert sensor is not None
+    if static is None:
+        return _Read(np.zeros((n, 3), np.float32), False)
+    exact = ray_step(max_error) == 0.0
+    points, _, movable, sound = read_body(
+        n + len(static), layout, per, exact, data, sensor, None, given.rest, lists=lists, static=static
+    )
+    places = np.flatnonzero(movable)
+    if len(places) != n:
+        return _Read(np.zeros((n, 3), np.float32), False)
+    return _Read(np.ascontiguousarray(points[places]), sound, places=places)
 
 
-def _read_timed(given: _Given) -> _Points:
-    return read_timed(given.n, given.per, given.data, given.lists)
+def _read_moved(given: _Given) -> _Read:
+    n, layout, per, _, data, sensor, _, lists, _ = given
+    assert sensor is not None
+    points, told, sound = read_moved(n, layout, per, data, sensor, given.rest, lists)
+    return _Read(points, sound, told)
+
+
+def _read_timed(given: _Given) -> _Read:
+    points, told, sound = read_timed(given.n, given.per, given.data, given.lists)
+    return _Read(points, sound, told)
 
 
 class _Form(NamedTuple):
@@ -395,7 +384,7 @@ class _Form(NamedTuple):
         of_sensor, exact: whether it takes a model of the sensor, and exact points.
     """
 
-    read: Callable[[_Given], _Points]
+    read: Callable[[_Given], _Read]
     number: Callable[[bytes], int]
     off: Callable[[int, bytes], int]
     of_sensor: bool
@@ -404,7 +393,7 @@ class _Form(NamedTuple):
 
 _FORMS = {
     AIMED: _Form(_read_aimed, number_of, lambda _, body: count_off(body), True, False),
-    AMONG: _Form(_read_aimed, number_of, lambda _, body: count_off(body), True, False),
+    AMONG: _Form(_read_among, number_of, lambda _, body: count_off(body), True, False),
     TIMED: _Form(_read_timed, ray_number_of, lambda n, _: n, False, True),
     MOVED: _Form(
         _read_moved,

@@ -18,9 +18,10 @@ from salpcc.schemas.cloud_layout import CDR, MAX_BYTES, MAX_ENVELOPE, ROS1, Layo
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
+from salpcc.stages.lattice.layers import Layered
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.field_modes import FieldModes
-from salpcc.stages.residual_code.message.points import Both, Points
+from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import unpacked
 from salpcc.stages.strays.timeline import Timeline
 
@@ -89,7 +90,7 @@ def decode_cloud(
     modes: FieldModes,
     sensor: SensorModel | None = None,
     timeline: Timeline | None = None,
-    both: Both | None = None,
+    layered: Layered | None = None,
 ) -> tuple[Cloud, NDArray[np.float32] | None]:
     """Inverse of :func:`encode_cloud`: the cloud, and ``dim``.
 
@@ -132,7 +133,7 @@ def decode_cloud(
     if cloud.whole or flags & _LOOSE:
         raw = section[at - n_loose : at]
         cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
-    known = points_of(points, cloud, sensor, timeline, both)
+    known = points_of(points, cloud, sensor, timeline, layered)
     columns = []
     for field, base in _columns(layout, points):
         if base is not None and not exact:
@@ -152,12 +153,12 @@ def points_of(
     cloud: Cloud,
     sensor: SensorModel | None = None,
     timeline: Timeline | None = None,
-    both: Both | None = None,
+    layered: Layered | None = None,
 ) -> Points:
     """What the fields of a scan are predicted from: its decoded points ``(N, 3)``, and how they lie."""
     layout = cloud.layout
     width = layout.width if cloud.whole and layout.height > 1 else 0
-    return Points.of(points, width, sensor, timeline, both)
+    return Points.of(points, width, sensor, timeline, layered)
 
 
 def _columns(layout: Layout, points: NDArray[np.float32]) -> list[tuple[Any, NDArray[np.float64] | None]]:

@@ -61,11 +61,12 @@ class FieldModes:
         learned: LearnedField | None,
     ) -> bytes:
         record, of = self._found.get(name, (b"", 0))
+        beside = points.beside(name[1])
         if record and len(values):
-            coded = encode_like(record, values, points, base, learned, points.beside(name[1]))
+            coded = encode_like(record, values, points, base, learned, beside)
             if coded is not None and self._pays(len(coded), len(values), len(record), of):
                 return coded
-        coded = encode_field(values, points, base, learned, points.beside(name[1]))
+        coded = encode_field(values, points, base, learned, beside)
         self._found[name] = coded, len(values)
         return coded
 

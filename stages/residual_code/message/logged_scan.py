@@ -6,7 +6,6 @@ Intensities that the models of a known sensor do not cover are a field like any 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +15,13 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.ingest.point_cloud import intensity_of
+from salpcc.stages.lattice.layers import Layered
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode_cloud, points_of
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.field_modes import FieldModes
-from salpcc.stages.residual_code.message.points import Both, Points
+from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.strays.timeline import Timeline
 
 _REFLECTIVITY = "reflectivity"
@@ -36,13 +36,6 @@ def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
     return levels is None or len(sweep.laser) == 0 or sweep.cloud.layout.slots[3] is None
 
 
-class Layered(NamedTuple):
-    """The static layer of a scan, and which points ``(N,)`` of both layers are of the movable one."""
-
-    static: Sweep
-    movable: NDArray[np.bool_]
-
-
 def known_of(
     sweep: Sweep, sensor: SensorModel, timeline: Timeline | None = None, layered: Layered | None = None
 ) -> tuple[Scan, Points]:
@@ -54,15 +47,7 @@ def known_of(
     """
     assert sweep.cloud is not None
     scan = sweep_to_scan(sweep, sensor)
-    return scan, points_of(scan.points, sweep.cloud, sensor, timeline, _both(scan.points, sensor, layered))
-
-
-def _both(points: NDArray[np.float32], sensor: SensorModel, layered: Layered | None) -> Both | None:
-    """What the fields of a movable layer of these points are told from."""
-    if layered is None or layered.static.cloud is None:
-        return None
-    still = sweep_to_scan(layered.static, sensor).points
-    return Both.of(layered.movable, points, still, layered.static.cloud, sensor)
+    return scan, points_of(scan.points, sweep.cloud, sensor, timeline, layered)
 
 
 def encode_intensity(sweep: Sweep, known: tuple[Scan, Points], modes: FieldModes) -> bytes:
@@ -125,9 +110,8 @@ def decode_logged(
         ArchiveError: a stream is damaged.
     """
     points = sweep_to_scan(sweep, sensor).points
-    both = _both(points, sensor, layered)
     cloud, dim = decode_cloud(
-        stream, sweep.n_points, points, sweep.max_error == 0, before, modes, sensor, timeline, both
+        stream, sweep.n_points, points, sweep.max_error == 0, before, modes, sensor, timeline, layered
     )
     sweep = replace(sweep, cloud=cloud)
     in_slot = intensity is not None and cloud.layout.slots[3] is not None

@@ -20,6 +20,7 @@ from salpcc.stages.entropy.number_forms import (
     spans_of,
     to_bits,
 )
+from salpcc.stages.lattice.layers import merged
 from salpcc.stages.residual_code.message.column_values import decode_columns, encode_columns, find_shifts
 from salpcc.stages.residual_code.message.firing_times import (
     Clocked,
@@ -96,9 +97,10 @@ def _with(
     beside: Values | None, values: Values, points: Points
 ) -> tuple[Points, Values, NDArray[np.bool_] | None]:
     """The points that times are told of, their values, and which of these a reader has: those of both layers, where there is one ``beside``."""
-    if beside is None or points.both is None or beside.dtype != values.dtype:
+    if beside is None or points.layered is None or beside.dtype != values.dtype:
         return points, values, None
-    return points.both.points, points.both.whole(values, beside), ~points.both.movable
+    movable = points.layered.movable
+    return points.whole, merged(movable, beside, values), ~movable
 
 
 def encode_times_like(
@@ -183,18 +185,18 @@ def encode_column_record(values: Values, points: Points, to_beat: int) -> bytes 
 
 def encode_whole_columns(values: Values, points: Points, beside: Values | None, to_beat: int) -> bytes | None:
     """The same of a movable layer, with the points of the static one, which has the field ``beside``: only both are in rows and columns."""
-    if beside is None or points.both is None or beside.dtype != values.dtype:
-        return None
-    coded = encode_column_record(points.both.whole(values, beside), points.both.points, to_beat)
+    points, values, known = _with(beside, values, points)
+    coded = None if known is None else encode_column_record(values, points, to_beat)
     return coded and bytes([WHOLE]) + coded
 
 
 def decode_whole_columns(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
     """Inverse of :func:`encode_whole_columns`: the values, and where the record ends; ``at``: behind its kind."""
-    require_sound(points.both is not None, data[at : at + 1] == bytes([COLUMNS]))
-    assert points.both is not None
-    whole, end = decode_column_record(data, at + 1, kind, points.both.points)
-    return whole[points.both.movable], end
+    layered = points.layered
+    if layered is None or layered.static.cloud is None or data[at : at + 1] != bytes([COLUMNS]):
+        raise ArchiveError("payload does not decode")
+    whole, end = decode_column_record(data, at + 1, kind, points.whole)
+    return whole[layered.movable], end
 
 
 def encode_columns_like(record: bytes, values: Values, points: Points) -> bytes | None:

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.schemas.cloud import Cloud
 from salpcc.stages.lattice.aim import aim, lies_on
 from salpcc.stages.lattice.drivers import TURNING, measured
+from salpcc.stages.lattice.layers import Layered, merged
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.residual_code.message.blended_values import Around
 from salpcc.stages.residual_code.message.firing_times import ON_LATTICE, Fired, fired_by
 from salpcc.stages.strays.timeline import LASERS, Passed, Timeline
@@ -24,37 +25,6 @@ _FAR = 200.0  # metres
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 _CLOSE = 0.002  # metres from the lattice
-
-
-@dataclass(frozen=True)
-class Both:
-    """Both layers of a scan, as the coder of the movable one knows them: which points ``(N,)`` are of it, all of them, and the message of the static layer."""
-
-    movable: NDArray[np.bool_]
-    points: Points
-    static: Cloud
-
-    @classmethod
-    def of(
-        cls,
-        movable: NDArray[np.bool_],
-        moving: NDArray[np.float32],
-        still: NDArray[np.float32],
-        static: Cloud,
-        sensor: SensorModel,
-    ) -> Both:
-        """Return what is known beside the points ``moving (M, 3)`` where those of the static layer are ``still (T, 3)``."""
-        xyz = np.empty((len(movable), 3), np.float32)
-        xyz[movable], xyz[~movable] = moving, still
-        layout = static.layout
-        width = layout.width if layout.height > 1 and layout.n_points == len(movable) else 0
-        return cls(movable, Points.of(xyz, width, sensor), static)
-
-    def whole(self, values: NDArray[Any], beside: NDArray[Any]) -> NDArray[Any]:
-        """Return a field of all points ``(N,)``, of which the static layer has those ``beside``."""
-        whole = np.empty(len(self.movable), values.dtype)
-        whole[self.movable], whole[~self.movable] = values, beside
-        return whole
 
 
 @dataclass(frozen=True)
@@ -70,7 +40,7 @@ class Points:
         sensor: whose lattice they may lie on.
         timeline: lasers and times of the points, where these are known.
         guide: a column ``(N,)`` int64 that the field may follow from, where one is known.
-        both: both layers, where the points are those of the movable one.
+        layered: the static layer, where the points are those of the movable one.
     """
 
     xyz: NDArray[np.float32]
@@ -81,7 +51,7 @@ class Points:
     sensor: SensorModel | None = None
     timeline: Timeline | None = None
     guide: NDArray[np.int64] | None = None
-    both: Both | None = None
+    layered: Layered | None = None
 
     @classmethod
     def of(
@@ -90,7 +60,7 @@ class Points:
         width: int,
         sensor: SensorModel | None = None,
         timeline: Timeline | None = None,
-        both: Both | None = None,
+        layered: Layered | None = None,
     ) -> Points:
         """Derive it from decoded points; ``width`` is that of a row of an organised cloud, else 0."""
         wide = xyz.astype(np.float64)
@@ -99,7 +69,7 @@ class Points:
             void = ~((squares > 0) & (squares < 1e12))
         ranges = np.sqrt(np.where(void, 0.0, squares))
         periods = (1, width, 4 * width) if width > 1 else (1, 16, 32, 64, 128)
-        return cls(xyz, void, ranges, periods, width, sensor, timeline, both=both)
+        return cls(xyz, void, ranges, periods, width, sensor, timeline, layered=layered)
 
     @cached_property
     def fired(self) -> Fired | None:
@@ -135,13 +105,23 @@ class Points:
             values[on] = told
         return both
 
+    @cached_property
+    def whole(self) -> Points:
+        """The points of both layers, in file order."""
+        assert self.layered is not None and self.layered.static.cloud is not None and self.sensor is not None
+        static, movable = self.layered
+        xyz = merged(movable, sweep_to_scan(static, self.sensor).points, self.xyz)
+        layout = self.layered.static.cloud.layout
+        width = layout.width if layout.height > 1 and layout.n_points == len(movable) else 0
+        return Points.of(xyz, width, self.sensor)
+
     def beside(self, name: str) -> NDArray[Any] | None:
         """The field of this name ``(T,)`` of the static layer, where there is one and the points' own stream tells no times."""
-        if self.both is None or self.timeline is not None:
+        cloud = None if self.layered is None else self.layered.static.cloud
+        if cloud is None or self.timeline is not None:
             return None
-        layout = self.both.static.layout
-        field = next((column for column in layout.columns if column.name == name), None)
-        return None if field is None else self.both.static.values(field)
+        field = next((column for column in cloud.layout.columns if column.name == name), None)
+        return None if field is None else cloud.values(field)
 
     def of_rows(self, values: NDArray[Any]) -> bool:
         """Whether values ``(N,)`` are of an organised cloud, and wide enough to follow from its columns."""

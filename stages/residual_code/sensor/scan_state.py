@@ -13,14 +13,13 @@ from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.lattice.lattice import unproject
-from salpcc.stages.lattice.layers import alone, movable_mask
+from salpcc.stages.lattice.layers import Layered, alone, movable_mask
 from salpcc.stages.lattice.publish import Rounded, rounded
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.hundredths import intensity_levels
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.residual_code.message import logged_scan
-from salpcc.stages.residual_code.message.logged_scan import Layered
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import CLOUD, FLOAT_INTENSITY, Header
@@ -29,6 +28,13 @@ from salpcc.stages.strays.stray_coder import Among, Plan, plan
 from salpcc.stages.strays.timeline import Timeline
 
 _PATIENCE = 2  # scans of a group whose points are sought by their times in vain: a search takes seconds
+
+
+def points_beside(static: Sweep | None) -> NDArray[np.float32] | None:
+    """Return the points ``(T, 3)`` of a static layer that is nothing but strays; None of another, or without one."""
+    if static is None or len(static.laser):
+        return None
+    return np.ascontiguousarray(static.stray_points[:, :3])
 
 
 @dataclass
@@ -92,9 +98,9 @@ class Encoding:
         times = None
         if sweep.cloud is not None and len(sweep.laser) == 0 and self.state.timeless < _PATIENCE:
             times = times_of(self.listed.cloud)  # type: ignore[arg-type]
-        among = None
-        if self.layered is not None and len(sweep.laser) == 0 and len(self.layered.static.laser) == 0:
-            among = Among(self.layered.static.stray_points[:, :3], self.layered.movable)
+        among, beside = None, points_beside(self.static)
+        if self.layered is not None and beside is not None and len(sweep.laser) == 0:
+            among = Among(beside, self.layered.movable)
         found = plan(
             sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
             lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],
@@ -149,13 +155,6 @@ class Decoding:
     @cached_property
     def model(self) -> NDArray[np.float64]:
         return unproject(self.sensor, self.sweep.laser, self.sweep.tick, self.sweep.count)
-
-    @property
-    def static_points(self) -> NDArray[np.float32] | None:
-        """Points ``(T, 3)`` of the static layer, where all of them are strays."""
-        if self.static is None or len(self.static.laser):
-            return None
-        return np.ascontiguousarray(self.static.stray_points[:, :3])
 
     @property
     def intensity_is_field(self) -> bool:

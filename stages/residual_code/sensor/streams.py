@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.buffer import as_array, require_sound, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.lattice.lattice import NO_CORRECTION
-from salpcc.stages.lattice.layers import alone, movable_mask
+from salpcc.stages.lattice.layers import Layered, alone, movable_mask
 from salpcc.stages.lattice.publish import Rounded, rounded
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL
 from salpcc.stages.predict.ring_starts import ring_starts
@@ -24,7 +24,7 @@ from salpcc.stages.residual_code.message import logged_scan
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.correction_coder import FLOAT32, MILLIMETRE
 from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER
-from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding
+from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding, points_beside
 from salpcc.stages.residual_code.stream import Stream
 from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, learned_number
 from salpcc.stages.strays.stray_values import decode_values, encode_values
@@ -175,7 +175,7 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
         scan.sensor,
         moved,
         scan.state.lists,
-        scan.static_points,
+        points_beside(scan.static),
     )
     require_sound(sound)
     if scan.timeline is not None:
@@ -278,7 +278,7 @@ def _decode_cloud(scan: Decoding, stream: bytes) -> None:
     sweep, static = scan.sweep, scan.static
     listed, layered = sweep, None
     if static is not None:
-        layered = logged_scan.Layered(static, movable_mask(static, sweep, scan.sensor))
+        layered = Layered(static, movable_mask(static, sweep, scan.sensor))
         listed = alone(sweep, layered.movable)
     of_field = scan.field_of_intensity if scan.intensity_is_field else None
     found = logged_scan.decode_logged(

@@ -172,9 +172,10 @@ def code_aimed(  # type: ignore[no-untyped-def]
     slots = len(slot_laser)
     base, base_cycle, pace, miss = 0, -1, 0, 0  # of firings: tick, number, ticks from one to the next
     recent, earlier_one, behind = -1, -1, 0
+    layered = len(static.movable) > 0
     for i in range(n):
         given = False  # of the static layer
-        if static.layered:
+        if layered:
             due, expected = -1, 0
             if left > 0:
                 due = slot_laser[i % slots]
@@ -340,6 +341,6 @@ def code_aimed(  # type: ignore[no-untyped-def]
         else:
             points[i, 0], points[i, 1], points[i, 2] = x, y, z
         if kind == AIMED:
-            if static.layered:
+            if layered:
                 learn_layer(static, i, k, np.int64(laser[recent]) if recent >= 0 else -1)
             earlier_one, recent = recent, i

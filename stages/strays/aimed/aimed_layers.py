@@ -30,13 +30,11 @@ class Beside(NamedTuple):
     """The static layer ``(T,)`` beside a movable one of ``M`` points, ``S`` in all; without points where there is one layer only.
 
     Attributes:
-        layered: whether there are two layers.
         movable: ``(S,)`` 1 for points of the movable layer, as they become known.
         points, kinds, laser, tick, level: of the static layer, as :func:`~.aimed_coder.code_aimed` has them.
         bits: contexts of what comes next. ``history``: of each laser, which of its last points were movable, as bits; ``after``: the laser that last came after each.
     """
 
-    layered: bool
     movable: U8
     points: NDArray[np.float32]
     kinds: U8
@@ -48,18 +46,10 @@ class Beside(NamedTuple):
     after: I64
 
 
-def beside(
-    movable: U8,
-    points: NDArray[np.float32],
-    kinds: U8,
-    laser: U8,
-    tick: I64,
-    level: I64,
-    layered: bool = True,
-) -> Beside:
+def beside(movable: U8, points: NDArray[np.float32], kinds: U8, laser: U8, tick: I64, level: I64) -> Beside:
     """Return a static layer before the first point of a walk."""
     return Beside(
-        layered, movable, points, kinds, laser, tick, level,
+        movable, points, kinds, laser, tick, level,
         new_bits(2 * _CONTEXTS), np.zeros(_LASERS, np.int64), np.full(_LASERS, -1),
     )  # fmt: skip
 
@@ -67,7 +57,7 @@ def beside(
 def nothing_beside() -> Beside:
     """Return what stands for the static layer where there is one layer only."""
     none, wide = np.zeros(0, np.uint8), np.zeros(0, np.int64)
-    return beside(none, np.zeros((0, 3), np.float32), none, none, wide, wide, layered=False)
+    return beside(none, np.zeros((0, 3), np.float32), none, none, wide, wide)
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)

@@ -106,8 +106,7 @@ def share_on_lattice(kinds: Array) -> float:
 def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
     """Bytes that the beginning takes."""
     part = slice(0, _TRIED)
-    names = ("points", "kinds", "laser", "tick", "level")
-    first = Aimed(*(getattr(aimed, name)[part].copy() for name in names))
+    first = aimed.some(part)
     out = np.empty(32 * len(first.points) + 4096, np.uint8)
     way = way if way.s is None else replace(way, s=way.s[part])
     written = write_aimed(first, np.ascontiguousarray(points[part]), sensor, way, out)

@@ -46,6 +46,10 @@ class Aimed:
     tick: I64
     level: I64
 
+    def some(self, which: slice | NDArray[np.bool_]) -> Aimed:
+        """Return a copy of some of the points."""
+        return Aimed(*(np.array(column[which]) for column in vars(self).values()))
+
 
 @dataclass(frozen=True, eq=False)
 class Way:
@@ -121,9 +125,7 @@ def settle(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, max_error: 
 
     All points but those of kind OFF will be found again at the same places by a :func:`put` that moves no bit.
     """
-    eased = Aimed(
-        points.copy(), *(getattr(aimed, name).copy() for name in ("kinds", "laser", "tick", "level"))
-    )
+    eased = replace(aimed.some(slice(None)), points=points.copy())
     scratch = np.empty(64 * len(points) + 4096, np.uint8)
     _code(True, eased.points, eased, sensor, way, max_error - _ROUNDING, start_encoder(), scratch)
     on = eased.kinds == AIMED
@@ -167,7 +169,7 @@ def write_aimed(
     told = points.copy()
     static = None
     if movable is not None:
-        static = _beside(_of(aimed, ~movable), points[~movable], movable.astype(np.uint8))
+        static = _beside(aimed.some(~movable), points[~movable], movable.astype(np.uint8))
     _code(True, told, aimed, sensor, way, 0.0, state, out, static)
     on = aimed.kinds != OFF
     if (told.view(np.int32)[on] != points.view(np.int32)[on]).any():
@@ -198,11 +200,6 @@ def read_aimed(
     state = start_decoder(data)
     _code(False, empty.points, empty, sensor, way, 0.0, state, data, layer)
     return empty, movable > 0, bool(state[3] == 0)
-
-
-def _of(aimed: Aimed, some: NDArray[np.bool_]) -> Aimed:
-    """Return some ``(S,)`` of the points."""
-    return Aimed(*(getattr(aimed, name)[some] for name in ("points", "kinds", "laser", "tick", "level")))
 
 
 def _beside(known: Aimed, points: F32, movable: NDArray[np.uint8]) -> Beside:
