@@ -53,8 +53,15 @@ def model_point(
     cosines: NDArray[np.float64],
 ) -> tuple[float, float, float]:
     """Model point in metres of a return of laser ``p`` (constants ``c``); tables of one turn's ticks."""
+    return beam_point(sines[np.uint64(tick)], cosines[np.uint64(tick)], count, p, c, count_size)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def beam_point(
+    sine: float, cosine: float, count: float, p: Row, c: Row, count_size: float
+) -> tuple[float, float, float]:
+    """Like :func:`model_point`, of sine and cosine of the tick's angle."""
     h = p[2]
-    sine, cosine = sines[np.uint64(tick)], cosines[np.uint64(tick)]
     cos_phi = cosine * c[2] - sine * c[3]
     sin_phi = sine * c[2] + cosine * c[3]
     d = count_size * count + p[4]

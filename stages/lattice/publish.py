@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.lattice import (
     NO_CORRECTION,
+    beam_point,
     corrections,
     digits_of,
     laser_constants,
-    model_point,
 )
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, arctan2, turn_tables
@@ -112,39 +112,49 @@ def _patched(points: NDArray[np.float32], ulp: NDArray[np.uint8]) -> NDArray[np.
 def _told(  # type: ignore[no-untyped-def]
     parameters, count_size, turn, laser, tick, count, step, exact, millimetre, motion, moving
 ) -> tuple[NDArray[np.float32], Column]:
-    """Points and azimuths of returns in one pass, block by block: what :mod:`.lattice`, :mod:`.order` and this module say of them, in turn."""
+    """Points and azimuths of returns in one pass, block by block of a ring: what :mod:`.lattice`, :mod:`.order` and this module say of them, in turn."""
     sines, cosines = turn
-    ticks = len(sines)
+    last = np.uint32(len(sines) - 1)
     constants = laser_constants(parameters)
     m = (motion[0], motion[1], motion[2], motion[3], motion[4], motion[5])
     n = len(laser)
     points, keys = np.empty((n, 3), np.float32), np.empty(n)
-    block = np.empty((4, BLOCK))
-    x, y, z, s = block[0], block[1], block[2], block[3]
-    for start in range(0, n, BLOCK):
-        size = min(BLOCK, n - start)
-        for i in range(size):
-            k = laser[start + i]
-            middle = np.float64(count[start + i]) * step + (step - 1) / 2
-            x[i], y[i], z[i] = model_point(
-                tick[start + i] % ticks, middle, parameters[k], constants[k], count_size, sines, cosines
-            )
-        for i in range(size):
+    block = np.empty((6, BLOCK))
+    x, y, z, s, sine, cosine = block[0], block[1], block[2], block[3], block[4], block[5]
+    end = 0
+    while end < n:
+        start = end
+        k = laser[start]
+        end = start + np.searchsorted(laser[start : start + BLOCK], k, "right")
+        p = (parameters[k, 0], parameters[k, 1], parameters[k, 2], parameters[k, 3], parameters[k, 4])
+        c = (constants[k, 0], constants[k, 1], constants[k, 2], constants[k, 3])
+        # Loops over slices, and one thing a loop, become vector instructions.
+        ticks, counts = tick[start:end], count[start:end]
+        for i in range(end - start):
+            at = np.uint64(min(np.uint32(ticks[i]), last))  # what is no tick must not lead out of the tables
+            sine[i], cosine[i] = sines[at], cosines[at]
+        for i in range(end - start):
+            middle = np.float64(counts[i]) * step + (step - 1) / 2
+            x[i], y[i], z[i] = beam_point(sine[i], cosine[i], middle, p, c, count_size)
+        for i in range(end - start):
             s[i] = arctan2(y[i], x[i])
-        for i in range(size):
-            keys[start + i] = s[i] + TWO_PI if s[i] < 0.0 else s[i]
+        key = keys[start:end]
+        for i in range(end - start):
+            key[i] = s[i] + TWO_PI if s[i] < 0.0 else s[i]
         if exact:
-            for i in range(size):
-                a, b, c = digits_of(np.int64(millimetre[start + i]))
-                x[i], y[i], z[i] = on_lattice(x[i], a), on_lattice(y[i], b), on_lattice(z[i], c)
+            codes = millimetre[start:end]
+            for i in range(end - start):
+                dx, dy, dz = digits_of(np.int64(codes[i]))
+                x[i], y[i], z[i] = on_lattice(x[i], dx), on_lattice(y[i], dy), on_lattice(z[i], dz)
             if moving:
-                for i in range(size):
+                for i in range(end - start):
                     x[i], y[i], z[i] = forward(x[i], y[i], z[i], m)
         elif moving:
-            for i in range(size):
+            for i in range(end - start):
                 x[i], y[i], z[i] = moved(x[i], y[i], z[i], s[i] / TWO_PI, m)
-        for i in range(size):
-            points[start + i, 0], points[start + i, 1], points[start + i, 2] = x[i], y[i], z[i]
+        put = points[start:end]
+        for i in range(end - start):
+            put[i, 0], put[i, 1], put[i, 2] = x[i], y[i], z[i]
     return points, keys
 
 
