@@ -225,18 +225,19 @@ def _arranged(
     """Put points ``(M, 3)`` and intensities ``(M,)`` in their order on the places that the strays ``(S, 4)`` leave."""
     n = len(order) + len(stray_index)
     put, values = np.empty((n, 3), np.float32), np.empty(n, np.float32)
-    stray = 0
-    for place in range(n):
-        if stray < len(stray_index) and stray_index[stray] == place:
+    begin = 0
+    for stray in range(len(stray_index) + 1):
+        end = min(stray_index[stray], n) if stray < len(stray_index) else n
+        for place in range(begin, end):
+            source, to = np.uint64(order[np.uint64(place - stray)]), np.uint64(place)
             for c in range(3):
-                put[place, c] = stray_points[stray, c]
-            values[place] = stray_points[stray, 3]
-            stray += 1
-        else:
-            source = order[place - stray]
+                put[to, c] = points[source, c]
+            values[to] = intensity[source]
+        if end < n:
             for c in range(3):
-                put[place, c] = points[source, c]
-            values[place] = intensity[source]
+                put[end, c] = stray_points[stray, c]
+            values[end] = stray_points[stray, 3]
+        begin = end + 1
     return put, values
 
 
