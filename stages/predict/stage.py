@@ -11,7 +11,7 @@ from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.predict.paper.frames import predict_gop
 from salpcc.stages.predict.values import predict_sweeps
 
-VERSION = 8
+VERSION = 9
 
 
 def run(task: pa.Table, planes: pa.Table, config: RunConfig) -> pa.Table:

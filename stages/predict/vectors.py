@@ -118,16 +118,17 @@ def choose(mask: Lanes, a: Lanes, b: Lanes) -> Lanes:
     return np.where(mask, a, b)
 
 
-def summed(start: Any, vector: Lanes, first: int, end: int) -> Any:
-    """Add the lanes from ``first`` to before ``end`` to ``start``, one after the other."""
-    for value in vector[first:end]:
-        start = start + value
-    return start
-
-
 def root(vector: Lanes) -> Lanes:
     """Return square roots."""
     return np.sqrt(vector)
+
+
+def totals(*vectors: Lanes) -> Lanes:
+    """Return the sum of each vector's lanes, a lane each: upper halves are added to lower ones until one lane is left."""
+    lanes = np.stack(vectors)
+    while lanes.shape[1] > 1:
+        lanes = lanes[:, : lanes.shape[1] // 2] + lanes[:, lanes.shape[1] // 2 :]
+    return lanes[:, 0]
 
 
 def size(vector: Lanes) -> Lanes:
@@ -318,11 +319,21 @@ def _push(builder: Any, kinds: Any, values: Any) -> Any:
     return builder.insert_element(moved, values[1], ir.Constant(_I32, lanes - 1))
 
 
-def _summed(builder: Any, kinds: Any, values: Any) -> Any:
-    total = values[0]
-    for n in range(kinds[3].literal_value, kinds[4].literal_value):
-        total = builder.fadd(total, builder.extract_element(values[1], ir.Constant(_I32, n)))
-    return total
+def _totals(builder: Any, kinds: Any, values: Any) -> Any:
+    lanes, none = kinds[1].lanes, ir.Constant(values[0].type, ir.Undefined)
+    left, apart = (
+        list(values),
+        lanes,
+    )  # so many lanes are yet to be added to one; what is left of two vectors finds room in one
+    while apart > 1:
+        apart //= 2
+        lower = [n for n in range(2 * lanes) if n // apart % 2 == 0]
+        upper = [n + apart for n in lower]
+        left = [
+            builder.fadd(*(_shuffle(builder, a, b, half) for half in (lower, upper)))
+            for a, b in zip(left[::2], [*left[1::2], none], strict=False)
+        ]
+    return _shuffle(builder, left[0], none, list(range(len(values))))
 
 
 def _of(builder: Any, kinds: Any, values: Any) -> Any:
@@ -394,7 +405,12 @@ _define(
 _define(
     of, (types.VarArg(types.Number),), lambda *values: Vector(types.unliteral(values[0]), len(values)), _of
 )
-_define(summed, (types.Float, Vector, _WHOLE, _WHOLE), lambda a, v, *_: a if v.dtype == a else None, _summed)
+_define(
+    totals,
+    (types.VarArg(Vector),),
+    lambda a, *others: Vector(a.dtype, 1 + len(others)) if all(a == b for b in others) else None,
+    _totals,
+)
 _define(
     choose,
     (Vector, Vector, Vector),

@@ -28,7 +28,7 @@ from salpcc.stages.predict.vectors import (
     splice,
     spread,
     store,
-    summed,
+    totals,
 )
 from salpcc.stages.predict.vectors import size as size_of
 
@@ -172,9 +172,10 @@ def intensity_features(around, n, rings, left, quotient, activity, slots, x, to)
     value = choose(known, join(join(left, load(rings.intensity, upper, 8)), above), spread(NONE, 32))
     q = off * _HALF
     weight = load(slots.places, at, 32) / (q * q + _ONE)
-    total = summed(_LITTLE, weight, 2, 20)
-    mean = summed(_LITTLE * NONE, weight * value, 2, 20) / total
-    apart = summed(_ZERO, weight * size_of(value - mean), 2, 20) / total
+    sums = totals(weight, weight * value)
+    total = lane(sums, 0) + _LITTLE
+    mean = (lane(sums, 1) + _LITTLE * NONE) / total
+    apart = lane(totals(weight * size_of(value - mean)), 0) / total
     store(x, to + _RANGES, rounded(squash(off)))
     store(x, to + _GAPS, _gaps(c, n, around, rings))
     store(x, to + _VALUES, rounded(value * _PER_STEP))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.vectors import Lanes, inline, join, lane, load, pick, splice, spread
+from salpcc.stages.predict.vectors import Lanes, inline, join, lane, load, splice, spread, totals
 
 LEFT, UPPER, SECOND = 8, 10, 6
 SLOTS = 24
@@ -31,44 +31,31 @@ def slots_around(left: Lanes, upper: F32, u: int, second: F32, s: int) -> Lanes:
 
 
 @inline
-def _sums(v: Lanes) -> Lanes:
-    """Sums over the slots of each ring, in order: lanes 0, 1, 2."""
-    s = spread(_ZERO, 4) + pick(v, 0, 8, 18, 31)
-    s = s + pick(v, 1, 9, 19, 31)
-    s = s + pick(v, 2, 10, 20, 31)
-    s = s + pick(v, 3, 11, 21, 31)
-    s = s + pick(v, 4, 12, 22, 31)
-    s = s + pick(v, 5, 13, 23, 31)
-    s = s + pick(v, 6, 14, 31, 31)
-    s = s + pick(v, 7, 15, 31, 31)
-    s = s + pick(v, 31, 16, 31, 31)
-    return s + pick(v, 31, 17, 31, 31)
+def heights(second: np.float32) -> Lanes:
+    """Return V of the slots: 0 on the current ring, 1 on the one above, ``second`` on the next."""
+    zero, one, two = spread(_ZERO, 8), spread(_ONE, 8), spread(second, 8)
+    return join(join(zero, one), join(splice(one, two, 2), two))
 
 
 @inline
 def fit_plane(
-    weight: Lanes, u: Lanes, uu: Lanes, d: Lanes, ud: Lanes, v: np.float32
+    weight: Lanes, u: Lanes, uu: Lanes, v: Lanes, d: Lanes, ud: Lanes
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Fit ``D = a + b U + c V`` by weighted least squares with a little ridge; ``uu`` and ``ud`` are products.
-
-    V is 0 on the current ring, 1 on the one above, ``v`` on the next. Returns a, b, c, sum of weights.
-    """
-    s0, s1, s2 = _sums(weight), _sums(weight * u), _sums(weight * uu)
-    s3, s4 = _sums(weight * d), _sums(weight * ud)
-    n0v = lane(s0, 2) * v
-    s = (lane(s0, 0) + lane(s0, 1)) + lane(s0, 2)
-    su = (lane(s1, 0) + lane(s1, 1)) + lane(s1, 2)
-    sv = lane(s0, 1) + n0v
-    sd = (lane(s3, 0) + lane(s3, 1)) + lane(s3, 2)
+    """Fit ``D = a + b U + c V`` by weighted least squares with a little ridge; ``uu`` and ``ud`` are products. Returns a, b, c, sum of weights."""
+    wv = weight * v
+    sums = totals(
+        weight, weight * u, wv, weight * d, weight * uu, wv * u, wv * v, weight * ud, wv * d
+    )  # fmt: skip
+    s, su, sv, sd = lane(sums, 0), lane(sums, 1), lane(sums, 2), lane(sums, 3)
     per = _ONE / (s + _TINY)
     mu = su * per
     mv = sv * per
     md = sd * per
-    uu_ = (lane(s2, 0) + lane(s2, 1)) + lane(s2, 2) - su * mu + _RIDGE_U
-    uv = lane(s1, 1) + lane(s1, 2) * v - su * mv
-    vv = lane(s0, 1) + n0v * v - sv * mv + _RIDGE_V
-    ud_ = (lane(s4, 0) + lane(s4, 1)) + lane(s4, 2) - su * md
-    vd = lane(s3, 1) + lane(s3, 2) * v - sv * md
+    uu_ = lane(sums, 4) - su * mu + _RIDGE_U
+    uv = lane(sums, 5) - su * mv
+    vv = lane(sums, 6) - sv * mv + _RIDGE_V
+    ud_ = lane(sums, 7) - su * md
+    vd = lane(sums, 8) - sv * md
     det = _ONE / max(uu_ * vv - uv * uv, _TINY)
     slope_u = (ud_ * vv - vd * uv) * det
     slope_v = (vd * uu_ - ud_ * uv) * det
@@ -76,17 +63,14 @@ def fit_plane(
 
 
 @inline
-def weigh(place: Lanes, off: Lanes, tolerance: np.float32) -> Lanes:
-    """Weights of the slots: that of their place over (1 + q^2)^2, q = off * tolerance."""
+def weigh(place: Lanes, far: Lanes, off: Lanes, tolerance: np.float32) -> Lanes:
+    """Weights of the slots: that of their place over ``far (1 + q^2)^2``, q = off * tolerance."""
     q = off * tolerance
     q = q * q + _ONE
-    return place / (q * q)
+    return place / (far * (q * q))
 
 
 @inline
-def residuals(u: Lanes, d: Lanes, v: np.float32, a: np.float32, b: np.float32, c: np.float32) -> Lanes:
+def residuals(u: Lanes, v: Lanes, d: Lanes, a: np.float32, b: np.float32, c: np.float32) -> Lanes:
     """Distances of the slots from the plane (a, b, c)."""
-    four, two = spread(a, 8), spread(a + c * v, 8)
-    upper = spread(a + c, 8)
-    level = join(join(four, upper), join(splice(upper, two, 2), two))
-    return d - (level + u * b)
+    return d - ((v * c + a) + u * b)

@@ -32,7 +32,7 @@ from salpcc.stages.predict.vectors import (
     splice,
     spread,
     store,
-    summed,
+    totals,
 )
 
 OWN, NEXT = 6, 4
@@ -152,11 +152,10 @@ def previous_features(  # type: ignore[no-untyped-def]
     r = choose(some, ((w - w1) - ((v * slope_v + tight) + u * slope_u)) * per_w, spread(_ZERO, 16))
     q = r * r + _ONE
     robust = weight / (q * q)
-    total = summed(_TINY, weight, 0, 14)
-    near = summed(_ZERO, weight * r, 0, 14) / total
-    robust_total = summed(_TINY, robust, 0, 14)
-    robust_near = summed(_ZERO, robust * r, 0, 14) / robust_total
-    apart = summed(_ZERO, weight * size(r - near), 0, 14)
+    sums = totals(weight, weight * r, robust, robust * r)
+    total, robust_total = lane(sums, 0) + _TINY, lane(sums, 2) + _TINY
+    near, robust_near = lane(sums, 1) / total, lane(sums, 3) / robust_total
+    apart = lane(totals(weight * size(r - near)), 0)
     centre = lane(counts, OF_SWEEP - 1)
     slope = _ONE / per_w
     first = laser.quotient / min(max(base + near * slope, _FAR), _NEAR) - laser.offset
@@ -209,9 +208,10 @@ def previous_intensity(w0, quotient, slots, seen, activity, bias, x, to):  # typ
         if seen.weights[s] > most:
             most = seen.weights[s]
             best = int(seen.values[s])
-    total = summed(_LITTLE, weight, 0, 14)
-    mean = summed(_LITTLE * intensities.NONE, weight * value, 0, 14) / total
-    apart = summed(_ZERO, weight * size(value - mean), 0, 14)
+    sums = totals(weight, weight * value)
+    total = lane(sums, 0) + _LITTLE
+    mean = (lane(sums, 1) + _LITTLE * intensities.NONE) / total
+    apart = lane(totals(weight * size(value - mean)), 0)
     near = pick(choose(weight > _ZERO, r, spread(_GAP, 16)), 1, 2, 5, 6, 7, 8, 11, 12)
     shown = pick(value, 1, 2, 5, 6, 7, 8, 11, 12) * _PER_STEP
     rest = of(

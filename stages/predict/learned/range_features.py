@@ -22,6 +22,7 @@ from salpcc.stages.predict.learned.local_plane import (
     SECOND,
     UPPER,
     fit_plane,
+    heights,
     residuals,
     slots_around,
     weigh,
@@ -134,8 +135,9 @@ class Around(NamedTuple):
 @inline
 def squash(x: Lanes) -> Lanes:
     """Compress: odd, linear near 0, growing like the fourth root."""
-    a = x / root(size(x) + _ONE)
-    return a / root(size(a) + _ONE)
+    a = size(x)
+    r = root(a + _ONE)
+    return x / root(r * (r + a))  # y / sqrt(|y| + 1) of y = x / sqrt(|x| + 1), with one division
 
 
 @inline
@@ -214,17 +216,18 @@ def point_features(around, n, rings, laser, places, error0, x, to):  # type: ign
     known = int(around.above) + int(around.second)
     place = load(places, (known * (LEFT + 1) + n_left) * 32, 32)
     present = place > _ZERO
-    place = place / (uu * _SLOT_DECAY + _ONE)
+    far = uu * _SLOT_DECAY + _ONE
+    v = heights(laser.height2)
     noise = _NOISE * w1 * w1
     plane_up, _, _, sum_up = fit_plane(
-        weigh(place, d - shift1, _ONE / (_WIDE_UP * w1 + noise)), u, uu, d, ud, laser.height2
+        weigh(place, far, d - shift1, _ONE / (_WIDE_UP * w1 + noise)), u, uu, v, d, ud
     )
     plane_left, slope_u, slope_v, sum_left = fit_plane(
-        weigh(place, d, _ONE / (_WIDE * w1 + noise)), u, uu, d, ud, laser.height2
+        weigh(place, far, d, _ONE / (_WIDE * w1 + noise)), u, uu, v, d, ud
     )
-    off = residuals(u, d, laser.height2, plane_left, slope_u, slope_v)
+    off = residuals(u, v, d, plane_left, slope_u, slope_v)
     tight, slope_u, slope_v, sum_tight = fit_plane(
-        weigh(place, off, _ONE / (_TIGHT * w1 + noise)), u, uu, d, ud, laser.height2
+        weigh(place, far, off, _ONE / (_TIGHT * w1 + noise)), u, uu, v, d, ud
     )
     base = min(max(w1 + tight, _FAR), _NEAR)
 
@@ -239,15 +242,15 @@ def point_features(around, n, rings, laser, places, error0, x, to):  # type: ign
         moved = w1 + (up - lane(values, 3))
     if i >= 4 and around.above:
         g = (d2 + lane(d, LEFT - 3)) + d4
-        v = (lane(values, 3) + lane(values, 2)) + (lane(values, 1) + lane(values, 0))
-        mean = w1 + (up + (g - v) * _QUARTER)
+        h = (lane(values, 3) + lane(values, 2)) + (lane(values, 1) + lane(values, 0))
+        mean = w1 + (up + (g - h) * _QUARTER)
     over = up + (up - top) / max(laser.height2 - _ONE, _QUARTER)
     guesses = of(
         w1, along, bent, up, moved, over, mean, w1 + plane_up, w1 + plane_left, base, w1, w1, w1, w1, w1, w1
     )  # fmt: skip
     counts = laser.quotient / larger(smaller(guesses, _NEAR), _FAR) - laser.offset
     per_w = laser.quotient / (base * base) * _UNIT  # counts fall by quotient / base^2 per unit of w
-    off = residuals(u, d, laser.height2, tight, slope_u, slope_v) * per_w
+    off = residuals(u, v, d, tight, slope_u, slope_v) * per_w
     store(x, to + _RESIDUALS, rounded(squash(choose(present, off, spread(_ZERO, 32)))))
     others = of(
         _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO,
@@ -272,6 +275,4 @@ def point_features(around, n, rings, laser, places, error0, x, to):  # type: ign
 @inline
 def squashed_errors(actual: np.float32, counts: Lanes) -> Lanes:
     """How far each predictor was from ``actual`` counts, for the features of later returns."""
-    e = size(counts - actual) * _UNIT
-    e = e / root(e + _ONE)
-    return e / root(e + _ONE)
+    return squash(size(counts - actual) * _UNIT)

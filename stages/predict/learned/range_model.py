@@ -17,7 +17,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.predict.learned.local_plane import SECOND, UPPER
 from salpcc.stages.predict.learned.mixture import (
     PLACES,
-    SHARED,
+    SIZE,
     find_levels,
     level_ends,
     output_places,
@@ -113,17 +113,14 @@ class _Sweep(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Room for a wave: a row for each return's inputs, mixture and predictions; for those that the network takes at once, and for one mixture."""
+    """Room for a wave: a row for each return's inputs, mixture and predictions; for those that the network takes at once, and those that are looked for."""
 
     x: NDArray[np.int16]
-    mixture: NDArray[np.float64]
-    kept: I64
+    mixture: F32
     predicted: F32
     hidden: NDArray[np.int16]
     sums: NDArray[np.int32]
     search: I64
-    whole: NDArray[np.int32]
-    parts: NDArray[np.float64]
 
 
 @inline
@@ -211,7 +208,7 @@ def _predict(p, k, sweep, laser, scratch, before, seen):  # type: ignore[no-unty
 
 
 @inline
-def _weigh(n, wave, layers, components, scratch):  # type: ignore[no-untyped-def]
+def _weigh(n, wave, layers, levels, scratch):  # type: ignore[no-untyped-def]
     """Ask the network for the mixtures of a wave of n."""
     width, sums = layers.first.shape[1] >> 1, scratch.sums
     shift = layers.shifts[len(layers.shifts) - 1] + SCALE_BITS
@@ -220,9 +217,7 @@ def _weigh(n, wave, layers, components, scratch):  # type: ignore[no-untyped-def
             begin(sums, p, layers.tables, wave[q + p] * width, width)
         forward(scratch.x, q, wave, layers, scratch.hidden, sums)
         for p in range(min(POINTS, n - q)):
-            scratch.kept[q + p] = set_mixture(
-                sums, p, shift, scratch.predicted, q + p, components, scratch.mixture, scratch.whole
-            )
+            set_mixture(sums, p, shift, scratch.predicted, q + p, levels, scratch.mixture)
 
 
 @inline
@@ -233,17 +228,7 @@ def _decode(n, done, wave, sweep, levels, coded, scratch):  # type: ignore[no-un
         some = min(STATES, n - q)
         for p in range(some):
             search[0, p] = target(coded.state, done + q + p)
-        find_levels(
-            scratch.mixture,
-            q,
-            some,
-            scratch.kept,
-            levels.step,
-            levels.number,
-            search,
-            scratch.whole,
-            scratch.parts,
-        )
+        find_levels(scratch.mixture, q, some, levels.step, levels.number, search)
         for p in range(some):
             k = wave[q + p]
             levels.level[sweep.starts[k] + sweep.reached.n[np.uint64(k)]] = search[1, p]
@@ -256,9 +241,6 @@ def _walk(mode, sweep, levels, layers, coded, rows, wave, scratch, before, seen)
     level, step, number, constants = levels
     starts, reached, mu = sweep.starts, sweep.reached, scratch.predicted
     step_value, middle = np.float32(step_feature(step)), np.float32((step - 1) * 0.5)
-    components = PREDICTORS + len(SHARED)
-    if before is not None:
-        components += PREVIOUS_PREDICTORS
     done = top = 0
     while done < len(level):
         top, n = next_wave(_see, sweep, top, starts, reached.n, wave)
@@ -267,7 +249,7 @@ def _walk(mode, sweep, levels, layers, coded, rows, wave, scratch, before, seen)
             laser = Laser(constants[ring, 0], constants[ring, 1], sweep.heights[ring], step_value)
             _predict(p, wave[p], sweep, laser, scratch, before, seen)
         if mode != COLLECT:
-            _weigh(n, wave, layers, components, scratch)
+            _weigh(n, wave, layers, number, scratch)
         if mode == DECODE:
             _decode(n, done, wave, sweep, levels, coded, scratch)
         for p in range(n):
@@ -277,9 +259,7 @@ def _walk(mode, sweep, levels, layers, coded, rows, wave, scratch, before, seen)
             value = int(level[i])
             coded.order[done + p] = k
             if mode == PREDICT:
-                low, high = level_ends(
-                    scratch.mixture, p, scratch.kept[p], value, step, number, scratch.whole, scratch.parts
-                )
+                low, high = level_ends(scratch.mixture, p, value, step, number)
                 coded.intervals[done + p, 0] = low
                 coded.intervals[done + p, 1] = high - low
             actual = np.float32(value * step) + middle
@@ -329,10 +309,9 @@ def walk(mode, starts, tick, levels, layers, coded, rows, before):  # type: igno
     width, outputs = layers.first.shape[1] >> 1, layers.last.shape[1] >> 1
     most = RINGS + POINTS
     scratch = _Scratch(
-        np.zeros((most, layers.first.shape[0] * 2 + 16), np.int16), np.zeros((most, 3 * PLACES)), np.zeros(most, np.int64),
+        np.zeros((most, layers.first.shape[0] * 2 + 16), np.int16), np.zeros((most, SIZE), np.float32),
         np.zeros((most, PLACES), np.float32),
         np.zeros((POINTS, width), np.int16), np.zeros((POINTS, max(width, outputs)), np.int32), np.zeros((7, STATES), np.int64),
-        np.zeros(2 * PLACES, np.int32), np.zeros(2 * PLACES),
     )  # fmt: skip
     sweep = _Sweep(starts, rings, reached, levers, heights, slot_places())
     _walk(mode, sweep, levels, layers, coded, rows, np.zeros(most, np.int64), scratch, before, seen)

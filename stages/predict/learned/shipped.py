@@ -13,12 +13,12 @@ from salpcc.stages.predict.learned.range_features import INPUTS
 
 WEIGHTS = Path(__file__).parent / "weights"
 EFFORTS = ("default", "max")
-_ORDER = "waves"  # what the digest of an effort says beside its networks
+_EVALUATED = "walk 2"  # what the digest of an effort says beside its networks: how they are evaluated
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedModels:
-    """The two networks of an effort level; ``digest`` names them, and the order of coding, in an archive (hex SHA-256).
+    """The two networks of an effort level; ``digest`` names them, and how they are evaluated, in an archive (hex SHA-256).
 
     ``looks_back``: whether they ask for the sweep before.
     """
@@ -36,5 +36,5 @@ def load_models(effort: str) -> LearnedModels:
         raise SalpccError(f"effort {effort!r} has no learned weights; it must be one of {', '.join(EFFORTS)}")
     ranges = load_network(WEIGHTS / f"range_{effort}.npz")
     intensity = load_network(WEIGHTS / f"intensity_{effort}.npz")
-    digest = sha256(f"{ranges.digest}{intensity.digest}{_ORDER}".encode()).hexdigest()
+    digest = sha256(f"{ranges.digest}{intensity.digest}{_EVALUATED}".encode()).hexdigest()
     return LearnedModels(ranges, intensity, digest, len(ranges.first) > INPUTS)

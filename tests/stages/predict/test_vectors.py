@@ -29,7 +29,7 @@ from salpcc.stages.predict.vectors import (
     splice,
     spread,
     store,
-    summed,
+    totals,
     whole,
 )
 
@@ -62,10 +62,12 @@ def order(a: Any, b: Any, out: Any) -> None:
     store(out, 24, pick(x, 7, 0, 0, 5))
     store(out, 28, push(x, lane(y, 2)))
     store(out, 36, of(lane(x, 1), HALF, lane(y, 7), lane(y, 0)))
-    out[40] = summed(HALF, x, 2, 7)
-    out[41] = count(x < y)
-    out[42] = count(x > y)
-    out[43] = count(x >= splice(x, y, 3))
+    out[40] = count(x < y)
+    out[41] = count(x > y)
+    out[42] = count(x >= splice(x, y, 3))
+    store(out, 43, totals(x))
+    store(out, 44, totals(x, y, x * y))
+    store(out, 47, totals(join(x, y), join(y, x)))
 
 
 def integers(a: Any, b: Any, out: Any) -> None:
@@ -113,7 +115,7 @@ def small(rng: np.random.Generator) -> Any:
     ("kernel", "values", "out"),
     [
         (plain, reals, np.zeros(208, np.float32)),
-        (order, reals, np.zeros(44, np.float32)),
+        (order, reals, np.zeros(49, np.float32)),
         (integers, wide, np.zeros(98, np.int32)),
         (products, small, np.zeros(32, np.int32)),
         (numbers, reals, np.zeros(64, np.int32)),
