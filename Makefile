@@ -13,7 +13,7 @@ SOURCES := $(shell find schemas stages pipeline src/salpcc/__init__.py -type f -
 OUT ?= out/demo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-stages test-pipeline test-rest bench fuzz soak lock clean
+.PHONY: demo test types test-stages test-pipeline test-rest bench fuzz soak lock clean
 
 demo: $(VENV)/.product
 	$(BIN)/salpcc-pipeline run sequences 00,01 --source simulated --frames 0:8 --keep-movable --out $(OUT)
@@ -24,8 +24,10 @@ demo: $(VENV)/.product
 test: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(MAKE) -j 2 test-stages test-pipeline test-rest types
+
+types:
 	$(BIN)/mypy -p salpcc
-	$(MAKE) -j 2 test-stages test-pipeline test-rest
 
 # Three processes, two at a time: a process that a native library ends is told of, which pytest-xdist waits for for ever.
 test-stages:

@@ -46,3 +46,8 @@ def make_scan(sensor: SensorModel) -> Callable[..., Scan]:
         return Scan(name, points, (material / 100).astype(np.float32), 123, "velodyne", classes)
 
     return make
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what needs few kernels: meanwhile the tests beside these (Makefile) compile those of the codec, for both."""
+    items.sort(key=lambda item: "segment" not in item.path.parts)
