@@ -47,6 +47,7 @@ _SWEEP_FIELDS = [
     pa.field("stray_index", list_of(pa.int64()), nullable=False),
     pa.field("stray_points", list_of(pa.float32()), nullable=False),
     pa.field("stray_classes", list_of(pa.uint8())),
+    pa.field("source", list_of(pa.int64())),
     pa.field("lead", list_of(pa.int64())),
     pa.field("labels", list_of(pa.uint32())),
     pa.field("stray_labels", list_of(pa.uint32())),

@@ -38,6 +38,8 @@ class Sweep:
         labels: ``(M,)`` uint32 or None, as their ``.label`` file has them.
         stray_labels: ``(S,)`` uint32 or None.
         cloud: what else the scan's message held, rows in file order of the kept points, or None.
+        source: ``(S,)`` int64, ascending places of the points in the organised cloud that others were taken out of; None where
+            it is none, or has returns.
         lead: None, but in the movable layer of a scan ``(T,)`` int64: how many of its returns stand before each stray of
             the static layer in the file. ``stray_index`` then counts the points of both layers
             (:mod:`salpcc.stages.lattice.layers`).
@@ -61,6 +63,7 @@ class Sweep:
     stray_points: NDArray[np.float32]
     stray_classes: NDArray[np.uint8] | None
     cloud: Cloud | None = None
+    source: NDArray[np.int64] | None = None
     lead: NDArray[np.int64] | None = None
     labels: NDArray[np.uint32] | None = None
     stray_labels: NDArray[np.uint32] | None = None

@@ -27,6 +27,7 @@ from salpcc.stages.lattice.sweep import (
     source_places,
     sweep_to_scan,
 )
+from salpcc.stages.strays.aimed.aimed_layers import Among
 from salpcc.stages.strays.stray_coder import snap
 
 _T = TypeVar("_T", bound=np.generic)
@@ -59,12 +60,22 @@ def keep(
         intensity=sweep.intensity[here],
         classes=None if sweep.classes is None else sweep.classes[here],
         stray_index=(np.cumsum(stays) - 1)[off[astray]],
+        source=_source(sweep, astray),
         stray_points=sweep.stray_points[astray],
         stray_classes=None if sweep.stray_classes is None else sweep.stray_classes[astray],
         cloud=sweep.cloud and sweep.cloud.keep(stays),
         labels=None if sweep.labels is None else sweep.labels[here],
         stray_labels=None if sweep.stray_labels is None else sweep.stray_labels[astray],
     )
+
+
+def _source(sweep: Sweep, at: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """Return the places in their organised cloud of the strays ``at`` of a sweep that is nothing but strays; None of another."""
+    if sweep.source is not None:
+        return sweep.source[at]
+    cloud = sweep.cloud
+    organised = cloud is not None and cloud.whole and min(cloud.layout.height, cloud.layout.width) > 1
+    return at if organised and len(sweep.laser) == 0 and len(at) < sweep.n_points else None
 
 
 def _some(sweep: Sweep, at: NDArray[np.int64]) -> Sweep:
@@ -232,7 +243,10 @@ def quantise(
         in_turn
     ]
     if not exact:
-        stray_points[:, :3] = snap(stray_points[:, :3], max_error, sensor, moved)
+        among = None
+        if gaps is None and sweep.source is not None and sweep.cloud is not None:
+            among = Among.of_source(sweep.n_points, sweep.source, sweep.cloud.layout.width)
+        stray_points[:, :3] = snap(stray_points[:, :3], max_error, sensor, moved, among)
 
     def strays(of_strays: NDArray[_T] | None, of_returns: NDArray[_T] | None) -> NDArray[_T] | None:
         if of_strays is None or of_returns is None:

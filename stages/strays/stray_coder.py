@@ -12,7 +12,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.buffer import room_for, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
-from salpcc.stages.lattice.layers import merged
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
+from salpcc.stages.strays.aimed.aimed_layers import OWN, Among
 from salpcc.stages.strays.aimed.aimed_strays import (
     Motion,
     choose,
@@ -46,7 +46,7 @@ from salpcc.stages.strays.timed.fit_turning import Fitted
 from salpcc.stages.strays.timed.timed_strays import ray_number_of, read_timed, write_timed
 from salpcc.stages.strays.timeline import Timeline
 
-AIMED, TIMED, MOVED, AMONG = 3, 5, 6, 7  # the forms after those of rays
+AIMED, TIMED, MOVED, AMONG, PLACED = 3, 5, 6, 7, 8  # the forms after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
@@ -78,18 +78,11 @@ def _form(points: F32, max_error: float) -> tuple[int, int, float]:
     return (HALVES if len(sample) and halves.all(axis=1).mean() > _ON_GRID else BITS), 1, 0.0
 
 
-class Among(NamedTuple):
-    """Where a movable layer stands: points ``(T, 3)`` of the static layer, and which of both, in file order, are movable ``(S,)``."""
-
-    static: F32
-    movable: NDArray[np.bool_]
-
-
 @dataclass(frozen=True, eq=False)
 class Plan:
     """How points ``(S, 3)``, snapped if need be, are coded: on rays, ``chosen`` on the lattice of the sensor, or ``coded`` already: form, body, and the lasers and times that they tell.
 
-    With ``among`` the points that are chosen are those of both layers.
+    With ``among`` the points that are chosen are those of the whole list.
     """
 
     points: F32
@@ -158,7 +151,7 @@ def plan(
         like: the layout of the scan before, which exact points are taken to have, too, where it is a likely one.
         turning: of the scan before, which the search for rays begins with.
         learned: of such points before, for efforts above ``fast``.
-        among: the static layer, of which they are the movable one.
+        among: where they stand in a list of two layers.
     """
     lanes = lanes if len(points) >= _FEWEST else None
     points = np.ascontiguousarray(points)
@@ -166,21 +159,26 @@ def plan(
     fix = BITS if form == HALVES else form
     exact = settled and step == 0.0
     like = like if exact else None
-    if sensor is not None and among is not None and motion is None:
-        whole = merged(among.movable, among.static, points)
-        chosen = choose(whole, fix, per, max_error, sensor, None, True, like=like, learned=learned)
-        if chosen is not None:
-            return Plan(whole, max_error, chosen[0].layout, fix, per, step, sensor, chosen, among=among)
+    among = among if motion is None else None
+    beside = among is not None and len(among.given) > 0  # a static layer, which tells more than times
+    moved = None
     if sensor is not None and exact and times is not None:
-        moved = _moved_in_time(points, form, fix, per, sensor, lanes, times, like, learned)
-        if moved is not None:
-            return moved
-    chosen = None
+        moved = partial(_moved_in_time, points, form, fix, per, sensor, lanes, times, like, learned)
+    if moved is not None and not beside and (found := moved()) is not None:
+        return found
+    aimed = None
     if sensor is not None:
-        chosen = choose(points, fix, per, max_error, sensor, motion, settled, like=like, learned=learned)
-    aimed = chosen and Plan(points, max_error, chosen[0].layout, fix, per, step, sensor, chosen, lanes)
+        whole = points if among is None else among.merged(points)
+        chosen = choose(
+            whole, fix, per, max_error, sensor, motion, settled, like=like, learned=learned, among=among
+        )
+        if chosen is not None:
+            layout = chosen[0].layout
+            aimed = Plan(whole, max_error, layout, fix, per, step, sensor, chosen, lanes, among=among)
     if aimed and (settled or aimed.share >= _NO_DOUBT):
         return aimed
+    if moved is not None and beside and (found := moved()) is not None:
+        return found
     layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes, like)
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
     if exact and lanes is not None and times is not None:
@@ -220,11 +218,17 @@ def _rest(max_error: float) -> Callable[[F32], bytes]:
     return lambda off: encode_strays(np.arange(len(off)), plan(off, max_error))
 
 
-def snap(points: F32, max_error: float, sensor: SensorModel | None = None, motion: Motion = None) -> F32:
-    """Move points ``(S, 3)`` to where the coder will put them, where that keeps the bound; sensor and motion as for :func:`plan`."""
+def snap(
+    points: F32,
+    max_error: float,
+    sensor: SensorModel | None = None,
+    motion: Motion = None,
+    among: Among | None = None,
+) -> F32:
+    """Move points ``(S, 3)`` to where the coder will put them, where that keeps the bound; the rest as for :func:`plan`."""
     if ray_step(max_error) == 0.0 or len(points) == 0:
         return points
-    return _moved(plan(points, max_error, sensor, motion, settled=False))
+    return _moved(plan(points, max_error, sensor, motion, settled=False, among=among))
 
 
 def _moved(found: Plan) -> F32:
@@ -232,22 +236,26 @@ def _moved(found: Plan) -> F32:
     if found.chosen is None:
         return move_points(found.points, found.layout, found.form, found.per, found.step, found.max_error)[0]
     moved = found.chosen[1].points.copy()
-    off = found.chosen[1].kinds == OFF
+    off, own = found.chosen[1].kinds == OFF, slice(None)
+    if found.among is not None:
+        own = found.among.role == OWN
+        off &= own
     moved[off] = snap(found.points[off], found.max_error)
-    return moved
+    return moved[own]
 
 
 def _size(found: Plan) -> int:
     """Bytes that the points of a plan that is not settled take once they are moved."""
-    return len(encode_strays(np.arange(len(found.points)), replace(found, points=_moved(found))))
+    points = moved = _moved(found)
+    if found.among is not None:
+        points = found.among.merged(moved)
+    return len(encode_strays(np.arange(len(moved)), replace(found, points=points)))
 
 
 def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
     """Encode places ``(S,)`` and points."""
     if len(places) == 0:
         return b""
-    if found.among is not None:
-        return _encode_among(places, found, found.among)
     gaps = np.diff(places, prepend=-1) - 1
     first = run_encoder(lambda out: int(encode_integers(gaps[:, None], integer_model(1), out)), len(places))
     if found.coded is not None:
@@ -255,22 +263,17 @@ def encode_strays(places: NDArray[np.int64], found: Plan) -> bytes:
     if found.chosen is None or found.sensor is None:
         return _on_rays(found, first)
     way = found.chosen[0]
-    body = write_body(found.chosen, found.points, found.sensor, _rest(found.max_error))
+    body = write_body(found.chosen, found.points, found.sensor, _rest(found.max_error), found.among)
+    own = found.points if found.among is None else found.points[found.among.role == OWN]
     if body is None:
-        return _on_rays(plan(found.points, found.max_error, lanes=found.lanes), first)
-    coded = _HEAD.pack(len(first), AIMED, *way.layout, found.per) + first + body
+        return _on_rays(plan(own, found.max_error, lanes=found.lanes), first)
+    head = _HEAD.pack(len(first), AIMED, *way.layout, found.per) + first
+    if found.among is not None:  # places come with the points
+        head = _HEAD.pack(0, PLACED if found.among.width else AMONG, *way.layout, found.per)
+    coded = head + body
     if found.share >= _NO_DOUBT or found.form == ALONG:
         return coded
-    return min(coded, _on_rays(plan(found.points, found.max_error, lanes=found.lanes), first), key=len)
-
-
-def _encode_among(places: NDArray[np.int64], found: Plan, among: Among) -> bytes:
-    """Encode points among those of the static layer, with which come their places."""
-    assert found.chosen is not None and found.sensor is not None
-    body = write_body(found.chosen, found.points, found.sensor, _rest(found.max_error), among.movable)
-    if body is None:
-        return encode_strays(places, plan(found.points[among.movable], found.max_error))
-    return _HEAD.pack(0, AMONG, *found.chosen[0].layout, found.per) + body
+    return min(coded, _on_rays(plan(own, found.max_error, lanes=found.lanes), first), key=len)
 
 
 def _on_rays(found: Plan, first: bytes) -> bytes:
@@ -285,11 +288,11 @@ def decode_strays(
     sensor: SensorModel | None = None,
     motion: Motion = None,
     lists: LearnedLists | None = None,
-    static: F32 | None = None,
+    among: Among | None = None,
 ) -> tuple[NDArray[np.int64], F32, Timeline | None, bool]:
     """Inverse of :func:`encode_strays`: places, points, :attr:`Plan.told`, and whether the data made sense.
 
-    Sensor and motion are as for :func:`plan`; ``lists``: what was learned of those before; ``static``: points of the static layer, if all of it are strays.
+    Sensor, motion and ``among`` are as for :func:`plan`; ``lists``: what was learned of those before.
     """
     nothing = np.zeros(n, np.int64), np.zeros((n, 3), np.float32), None, n == 0
     if n == 0 or len(data) < _HEAD.size:
@@ -304,7 +307,7 @@ def decode_strays(
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     body = np.ascontiguousarray(data[begin:])
-    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists, static)
+    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists, among)
     found = row.read(given) if row else _Read(*read_points(n, (left, up), form, per, step, body))
     if found.places is not None:
         return found.places, found.points, found.told, found.sound
@@ -323,7 +326,7 @@ class _Given(NamedTuple):
     sensor: SensorModel | None
     motion: Motion
     lists: LearnedLists | None
-    static: F32 | None
+    among: Among | None
 
     def rest(self, n: int, data: NDArray[np.uint8]) -> tuple[F32, bool]:
         """Read the ``n`` points off the lattice."""
@@ -343,20 +346,20 @@ def _read_aimed(given: _Given) -> _Read:
     n, layout, per, max_error, data, sensor, motion, lists, _ = given
     assert sensor is not None
     exact = ray_step(max_error) == 0.0
-    points, _, _, sound = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
+    points, _, sound = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
     return _Read(points, sound)
 
 
-def _read_among(given: _Given) -> _Read:
-    n, layout, per, max_error, data, sensor, _, lists, static = given
+def _read_among(given: _Given, placed: bool = False) -> _Read:
+    n, layout, per, max_error, data, sensor, _, lists, among = given
     assert sensor is not None
-    if static is None:
+    if among is None or (among.width > 0) != placed:
         return _Read(np.zeros((n, 3), np.float32), False)
     exact = ray_step(max_error) == 0.0
-    points, _, movable, sound = read_body(
-        n + len(static), layout, per, exact, data, sensor, None, given.rest, lists=lists, static=static
+    points, _, sound = read_body(
+        len(among.role), layout, per, exact, data, sensor, None, given.rest, lists=lists, among=among
     )
-    places = np.flatnonzero(movable)
+    places = np.flatnonzero(among.role == OWN)
     if len(places) != n:
         return _Read(np.zeros((n, 3), np.float32), False)
     return _Read(np.ascontiguousarray(points[places]), sound, places=places)
@@ -394,6 +397,7 @@ class _Form(NamedTuple):
 _FORMS = {
     AIMED: _Form(_read_aimed, number_of, lambda _, body: count_off(body), True, False),
     AMONG: _Form(_read_among, number_of, lambda _, body: count_off(body), True, False),
+    PLACED: _Form(partial(_read_among, placed=True), number_of, lambda _, body: count_off(body), True, False),
     TIMED: _Form(_read_timed, ray_number_of, lambda n, _: n, False, True),
     MOVED: _Form(
         _read_moved,

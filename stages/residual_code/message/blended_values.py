@@ -22,7 +22,9 @@ from salpcc.stages.residual_code.message.learned_values import (
     AROUND,
     ValueWalk,
     code_learned_value,
+    note_value,
 )
+from salpcc.stages.strays.aimed.aimed_layers import GIVEN, GONE
 
 _ALIKE = 0.008  # of the distance; what differs less counts alike
 _RATE = 0.004  # of learning
@@ -72,14 +74,16 @@ def _new_room(n: int, lasers: int) -> _Room:
 
 @njit(cache=True, _nrt=False)
 def _code(  # type: ignore[no-untyped-def]
-    writing, state, data, values, void, ranges, width, laser, above, below, guide, models, room, learned
+    writing, state, data, values, void, ranges, width, laser, above, below, guide, role, models, room, learned
 ):
-    """Write or read values ``(N,)``; ``width`` of an organised cloud, or 0: by ``laser``, whose neighbours are ``above`` and ``below``; ``guide``: ``(N,)``, or empty; ``learned``: of efforts above ``fast``, or None."""
+    """Write or read values ``(N,)``; ``width`` of an organised cloud, or 0: by ``laser``, whose neighbours are ``above`` and ``below``; ``guide``: ``(N,)``, or empty; ``role``: values that are GIVEN are known, those GONE nobody's; ``learned``: of efforts above ``fast``, or None."""
     of_spread, of_value, of_void = models
     n = len(void)
     recent, near, off, weight, lit, times, stray, missed = room
     before, empty = -1, np.int64(0)
     for i in range(n):
+        if role[i] == GONE or (void[i] and role[i] == GIVEN):
+            continue
         if void[i]:
             empty += code_number(writing, state, data, of_void, 0, of_void, 0, values[i] - empty)
             if not writing:
@@ -153,7 +157,10 @@ def _code(  # type: ignore[no-untyped-def]
         whole = np.int64(np.floor(expected + 0.5))
         spread = half_octaves(miss + 0.15 * rough, _NARROWEST, _BUCKETS - 1)
         about = half_octaves(abs(expected), _NARROWEST, _BUCKETS - 1)
-        if learned is not None:
+        if role[i] == GIVEN:
+            if learned is not None:
+                note_value(learned, i, values[i])
+        elif learned is not None:
             values[i] = code_learned_value(
                 writing, state, data, learned, i, 0 if width > 0 else laser[i], near, off,
                 stray[key] if times[key] > 0.0 else -1.0, mean, expected, miss + 0.15 * rough, values, missed, ranges, values[i],
@@ -182,7 +189,9 @@ def _code(  # type: ignore[no-untyped-def]
             recent[laser[i], 0] = i
 
 
-Around = tuple[Flags, F64, int, I64, I64, I64, I64]  # void, ranges, width, laser, above, below, guide
+Around = tuple[
+    Flags, F64, int, I64, I64, I64, I64, NDArray[np.uint8]
+]  # void, ranges, width, laser, above, below, guide, role
 
 
 def encode_blended(
@@ -195,10 +204,13 @@ def encode_blended(
     return within(out, int(finish_encoder(state, out)), to_beat)
 
 
-def decode_blended(around: Around, data: bytes, learned: ValueWalk | None = None) -> tuple[I64, bool]:
-    """Inverse of :func:`encode_blended`: the values, and whether the data made sense."""
+def decode_blended(
+    around: Around, data: bytes, learned: ValueWalk | None = None, given: I64 | None = None
+) -> tuple[I64, bool]:
+    """Inverse of :func:`encode_blended`: the values, and whether the data made sense; ``given``: those that are known ``(N,)``."""
     raw = as_array(data)
-    values, state = np.zeros(len(around[0]), np.int64), start_decoder(raw)
+    values = np.zeros(len(around[0]), np.int64) if given is None else given.copy()
+    state = start_decoder(raw)
     _code(False, state, raw, values, *around, _models(), _new_room(len(values), len(around[4])), learned)
     return values, bool(state[3] == 0)
 

@@ -91,11 +91,13 @@ def decode_cloud(
     sensor: SensorModel | None = None,
     timeline: Timeline | None = None,
     layered: Layered | None = None,
+    source: NDArray[np.int64] | None = None,
 ) -> tuple[Cloud, NDArray[np.float32] | None]:
     """Inverse of :func:`encode_cloud`: the cloud, and ``dim``.
 
     Args:
         n_points: points of the source scan, dropped ones included.
+        source: places of the points in their organised cloud, where others were taken out of it.
 
     Raises:
         ArchiveError: the section is damaged.
@@ -133,7 +135,7 @@ def decode_cloud(
     if cloud.whole or flags & _LOOSE:
         raw = section[at - n_loose : at]
         cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
-    known = points_of(points, cloud, sensor, timeline, layered)
+    known = points_of(points, cloud, sensor, timeline, layered, source)
     columns = []
     for field, base in _columns(layout, points):
         if base is not None and not exact:
@@ -154,11 +156,13 @@ def points_of(
     sensor: SensorModel | None = None,
     timeline: Timeline | None = None,
     layered: Layered | None = None,
+    source: NDArray[np.int64] | None = None,
 ) -> Points:
     """What the fields of a scan are predicted from: its decoded points ``(N, 3)``, and how they lie."""
     layout = cloud.layout
-    width = layout.width if cloud.whole and layout.height > 1 else 0
-    return Points.of(points, width, sensor, timeline, layered)
+    width = layout.width if (cloud.whole or source is not None) and layout.height > 1 else 0
+    places = None if source is None else (source, layout.n_points)
+    return Points.of(points, width, sensor, timeline, layered, places)
 
 
 def _columns(layout: Layout, points: NDArray[np.float32]) -> list[tuple[Any, NDArray[np.float64] | None]]:

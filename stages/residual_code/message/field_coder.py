@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salpcc.stages.entropy.buffer import ENDLESS, require_sound
+from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.entropy.number_forms import to_bits
 from salpcc.stages.residual_code.message.learned_values import LearnedField
 from salpcc.stages.residual_code.message.multiples import (
@@ -29,14 +29,12 @@ from salpcc.stages.residual_code.message.placed_records import (
     decode_laser_record,
     decode_timeline_record,
     decode_times_record,
-    decode_whole_columns,
     encode_column_record,
     encode_columns_like,
     encode_laser_record,
     encode_timeline_record,
     encode_times_like,
     encode_times_record,
-    encode_whole_columns,
 )
 from salpcc.stages.residual_code.message.plain_records import decode_plain, encode_plain, encode_plain_like
 from salpcc.stages.residual_code.message.points import Points
@@ -53,7 +51,6 @@ from salpcc.stages.residual_code.message.records import (
     SYMBOLS,
     TIMELINE,
     TIMES,
-    WHOLE,
     Values,
 )
 
@@ -86,9 +83,8 @@ def encode_field(
         multiples = encode_field(of_step(values, step), points, None, learned, _multiples(beside, step))
         return min(coded, write_multiples(step, multiples), key=len)
     coded = _shorter(coded, encode_laser_record(values, points))
-    coded = _shorter(coded, encode_column_record(values, points, len(coded)))
-    coded = _shorter(coded, encode_whole_columns(values, points, beside, len(coded)))
-    coded = _shorter(coded, encode_picture(values, points, learned, len(coded)))
+    coded = _shorter(coded, encode_column_record(values, points, len(coded), beside))
+    coded = _shorter(coded, encode_picture(values, points, learned, len(coded), beside))
     coded = _shorter(coded, encode_times_record(values, points, len(coded), beside))
     return coded if len(coded) < len(values) // 8 else _shorter(coded, encode_ranks(values, points))
 
@@ -137,12 +133,10 @@ def encode_like(
         return encode_times_like(record, values, points, beside)
     if form == RANKS:
         return encode_ranks(values, points)
-    if form == WHOLE:
-        return encode_whole_columns(values, points, beside, ENDLESS)
     if form == COLUMNS:
-        return encode_columns_like(record, values, points)
+        return encode_columns_like(record, values, points, beside)
     if form in (BLENDED, LEARNED):
-        return encode_picture_like(record, values, points, learned)
+        return encode_picture_like(record, values, points, learned, beside)
     return None
 
 
@@ -156,11 +150,8 @@ def _encode_known(values: Values, points: Points) -> bytes | None:
 
 _DECODE = {
     BY_LASER: decode_laser_record,
-    COLUMNS: decode_column_record,
     TIMELINE: decode_timeline_record,
-    BLENDED: decode_picture,
     RANKS: decode_ranks,
-    WHOLE: decode_whole_columns,
 }
 
 
@@ -190,8 +181,10 @@ def decode_field(
         return values * kind.type(step), end
     if data[at] == TIMES:
         return decode_times_record(data, at + 1, kind, points, beside)
-    if data[at] == LEARNED and learned is not None:
-        return decode_picture(data, at + 1, kind, points, learned)
+    if data[at] == COLUMNS:
+        return decode_column_record(data, at + 1, kind, points, beside)
+    if data[at] == BLENDED or (data[at] == LEARNED and learned is not None):
+        return decode_picture(data, at + 1, kind, points, learned if data[at] == LEARNED else None, beside)
     if data[at] in _DECODE:
         return _DECODE[data[at]](data, at + 1, kind, points)
     return decode_plain(data, at, kind, points, base)

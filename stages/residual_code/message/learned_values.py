@@ -198,6 +198,15 @@ def code_learned_value(  # type: ignore[no-untyped-def]
     return value
 
 
+@njit(cache=True, error_model="numpy", _nrt=False)
+def note_value(walk, i, value):  # type: ignore[no-untyped-def]
+    """Take note of the value of point i of an organised cloud, which is known."""
+    walk.own.values[i] = value
+    there = _find_before(walk, i, 0)
+    if there >= 0:
+        walk.off[i] = min(abs(value - np.float64(walk.before.values[there])), 1e9)
+
+
 class LearnedField:
     """What was learned of a field through the scans of a group; a writer tries ways, and what it learned counts once a record is :meth:`settled <settle>`."""
 

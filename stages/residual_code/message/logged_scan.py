@@ -21,12 +21,10 @@ from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode_cloud, points_of
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.field_modes import FieldModes
-from salpcc.stages.residual_code.message.points import Points
+from salpcc.stages.residual_code.message.points import INTENSITY, REFLECTIVITY, Points
 from salpcc.stages.strays.timeline import Timeline
 
-_REFLECTIVITY = "reflectivity"
 _FEW = 20  # of so many points one: a record of its own would take more than it tells
-_INTENSITY = "/intensity"  # no field of a message is called so
 
 
 def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
@@ -47,7 +45,7 @@ def known_of(
     """
     assert sweep.cloud is not None
     scan = sweep_to_scan(sweep, sensor)
-    return scan, points_of(scan.points, sweep.cloud, sensor, timeline, layered)
+    return scan, points_of(scan.points, sweep.cloud, sensor, timeline, layered, sweep.source)
 
 
 def encode_intensity(sweep: Sweep, known: tuple[Scan, Points], modes: FieldModes) -> bytes:
@@ -57,7 +55,7 @@ def encode_intensity(sweep: Sweep, known: tuple[Scan, Points], modes: FieldModes
         return b""
     scan, points = known
     values = scan.intensity if _dim(known) is None else np.where(points.void, np.float32(0), scan.intensity)
-    return modes.encode((sweep.cloud.topic, _INTENSITY), values, _guided(points, sweep.cloud))
+    return modes.encode((sweep.cloud.topic, INTENSITY), values, _guided(points, sweep.cloud))
 
 
 def _dim(known: tuple[Scan, Points]) -> NDArray[np.float32] | None:
@@ -71,7 +69,7 @@ def _dim(known: tuple[Scan, Points]) -> NDArray[np.float32] | None:
 
 def _guided(points: Points, cloud: Cloud) -> Points:
     """What intensities are told from: reflectivities, too, which come before them."""
-    field = next((c for c in cloud.layout.columns if c.name == _REFLECTIVITY and c.dtype.kind in "iu"), None)
+    field = next((c for c in cloud.layout.columns if c.name == REFLECTIVITY and c.dtype.kind in "iu"), None)
     return points if field is None else replace(points, guide=cloud.values(field).astype(np.int64))
 
 
@@ -111,7 +109,16 @@ def decode_logged(
     """
     points = sweep_to_scan(sweep, sensor).points
     cloud, dim = decode_cloud(
-        stream, sweep.n_points, points, sweep.max_error == 0, before, modes, sensor, timeline, layered
+        stream,
+        sweep.n_points,
+        points,
+        sweep.max_error == 0,
+        before,
+        modes,
+        sensor,
+        timeline,
+        layered,
+        sweep.source,
     )
     sweep = replace(sweep, cloud=cloud)
     in_slot = intensity is not None and cloud.layout.slots[3] is not None
@@ -121,8 +128,8 @@ def decode_logged(
     if cloud.layout.slots[3] is None:
         values = intensity_of(cloud)
     else:
-        known = _guided(points_of(points, cloud, sensor, timeline), cloud)
-        name = (cloud.topic, _INTENSITY)
+        known = _guided(points_of(points, cloud, sensor, timeline, layered, sweep.source), cloud)
+        name = (cloud.topic, INTENSITY)
         values, end = modes.decode(name, intensity, 0, np.dtype(np.float32), known)
         require_sound(end == len(intensity))
         values = values if dim is None else np.where(known.void, dim, values)

@@ -28,6 +28,7 @@ from salpcc.stages.residual_code.message.firing_times import (
     encode_times,
     find_times,
 )
+from salpcc.stages.residual_code.message.grid import Grid
 from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import (
@@ -35,14 +36,13 @@ from salpcc.stages.residual_code.message.records import (
     COLUMNS,
     TIMELINE,
     TIMES,
-    WHOLE,
     Integers,
     Values,
-    flags_of,
     read_small,
     small,
     unpacked,
 )
+from salpcc.stages.strays.aimed.aimed_layers import GONE
 
 _BY_LASER = struct.Struct("<I")  # length
 _TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
@@ -97,7 +97,7 @@ def _with(
     beside: Values | None, values: Values, points: Points
 ) -> tuple[Points, Values, NDArray[np.bool_] | None]:
     """The points that times are told of, their values, and which of these a reader has: those of both layers, where there is one ``beside``."""
-    if beside is None or points.layered is None or beside.dtype != values.dtype:
+    if beside is None or points.layered is None or points.sensor is None or beside.dtype != values.dtype:
         return points, values, None
     movable = points.layered.movable
     return points.whole, merged(movable, beside, values), ~movable
@@ -169,65 +169,71 @@ def decode_timeline_record(data: bytes, at: int, kind: np.dtype[Any], points: Po
     return from_spans(points.timeline.time, form, power, origin, kind), at
 
 
-def encode_column_record(values: Values, points: Points, to_beat: int) -> bytes | None:
-    """A field that follows from the column of an organised cloud; None where it is none, or takes more than ``to_beat`` bytes."""
-    if not points.of_rows(values):
+def encode_column_record(
+    values: Values, points: Points, to_beat: int, beside: Values | None = None
+) -> bytes | None:
+    """A field that follows from the column of an organised cloud; None where it is none, or takes more than ``to_beat`` bytes.
+
+    Args:
+        beside: of the static layer, where the points are those of the movable one.
+    """
+    if points.grid is None or not points.of_rows(values):
         return None
-    bits = to_bits(values)
-    shifts = find_shifts(bits - bits[0], points.void, points.width)
-    best = None
-    for void in (0, 1) if points.void.any() else (0,):
-        coded = _encode_columns_as(shifts, void, values, points, to_beat)
-        if coded is not None and (best is None or len(coded) < len(best)):
-            best, to_beat = coded, len(coded)
+    grid, best = points.grid, None
+    origin, bits = _in_rows(values, grid, beside)
+    gone = grid.role == GONE
+    for nothing in (grid.void, gone) if gone.any() else (grid.void,):  # where points are few, void ones count
+        shifts = find_shifts(bits, nothing, grid.width, grid.role)
+        for void in (0, 1) if points.void.any() else (0,):
+            coded = _encode_columns_as(shifts, void, origin, bits, grid, to_beat)
+            if coded is not None and (best is None or len(coded) < len(best)):
+                best, to_beat = coded, len(coded)
     return best
 
 
-def encode_whole_columns(values: Values, points: Points, beside: Values | None, to_beat: int) -> bytes | None:
-    """The same of a movable layer, with the points of the static one, which has the field ``beside``: only both are in rows and columns."""
-    points, values, known = _with(beside, values, points)
-    coded = None if known is None else encode_column_record(values, points, to_beat)
-    return coded and bytes([WHOLE]) + coded
+def _in_rows(values: Values, grid: Grid, beside: Values | None) -> tuple[int, Integers]:
+    """The bits of the first value, and by how much those of all places ``(W,)`` are off it."""
+    bits = to_bits(values)
+    given = to_bits(beside) if beside is not None and beside.dtype == values.dtype else None
+    return int(bits[0]), grid.spread(bits, given) - bits[0]
 
 
-def decode_whole_columns(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
-    """Inverse of :func:`encode_whole_columns`: the values, and where the record ends; ``at``: behind its kind."""
-    layered = points.layered
-    if layered is None or layered.static.cloud is None or data[at : at + 1] != bytes([COLUMNS]):
-        raise ArchiveError("payload does not decode")
-    whole, end = decode_column_record(data, at + 1, kind, points.whole)
-    return whole[layered.movable], end
-
-
-def encode_columns_like(record: bytes, values: Values, points: Points) -> bytes | None:
+def encode_columns_like(
+    record: bytes, values: Values, points: Points, beside: Values | None = None
+) -> bytes | None:
     """The same with the shifts that ``record`` has; None where that cannot be."""
     void, _, n_shifts, _ = _COLUMNS.unpack_from(record, 1)
-    if not points.of_rows(values):
+    grid = points.grid
+    if grid is None or not points.of_rows(values):
         return None
     start = 1 + _COLUMNS.size
-    rows = len(values) // points.width
-    return _encode_columns_as(read_small(rows, record[start : start + n_shifts]), void, values, points)
+    shifts = read_small(len(grid.role) // grid.width, record[start : start + n_shifts])
+    return _encode_columns_as(shifts, void, *_in_rows(values, grid, beside), grid)
 
 
 def _encode_columns_as(
-    shifts: Integers, void: int, values: Values, points: Points, to_beat: int = ENDLESS
+    shifts: Integers, void: int, origin: int, bits: Integers, grid: Grid, to_beat: int = ENDLESS
 ) -> bytes | None:
     """The same with shifts that are known; None where values differ too much."""
-    bits = to_bits(values)
     coded = small(shifts)
-    stream = encode_columns(bits - bits[0], flags_of(points, void), points.width, shifts, to_beat)
+    stream = encode_columns(bits, grid.void & bool(void), grid.width, shifts, to_beat, grid.role)
     if stream is None:
         return None
-    return bytes([COLUMNS]) + _COLUMNS.pack(void, int(bits[0]), len(coded), len(stream)) + coded + stream
+    return bytes([COLUMNS]) + _COLUMNS.pack(void, origin, len(coded), len(stream)) + coded + stream
 
 
-def decode_column_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:
+def decode_column_record(
+    data: bytes, at: int, kind: np.dtype[Any], points: Points, beside: Values | None = None
+) -> tuple[Values, int]:
     """Inverse of :func:`encode_column_record`: the values, and where the record ends; ``at``: behind its kind."""
     (void, origin, n_shifts, length), at = unpacked(_COLUMNS, data, at)
-    end = at + n_shifts + length
-    n = len(points.void)
-    require_sound(points.width >= 2 and n % points.width == 0, void <= 1, end <= len(data))
-    shifts = read_small(n // points.width, data[at : at + n_shifts])
-    integers, sound = decode_columns(flags_of(points, void), points.width, shifts, data[at + n_shifts : end])
+    end, grid = at + n_shifts + length, points.grid
+    if grid is None or void > 1 or end > len(data) or len(points.void) == 0:
+        raise ArchiveError("payload does not decode")
+    shifts = read_small(len(grid.role) // grid.width, data[at : at + n_shifts])
+    _, given = _in_rows(np.zeros(len(points.void), kind), grid, beside)
+    integers, sound = decode_columns(
+        grid.void & bool(void), grid.width, shifts, data[at + n_shifts : end], grid.role, given - origin
+    )
     require_sound(sound)
-    return from_bits(integers + origin, kind), end
+    return from_bits(grid.own(integers) + origin, kind), end

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,12 +16,16 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import sweep_to_scan
 from salpcc.stages.residual_code.message.blended_values import Around
 from salpcc.stages.residual_code.message.firing_times import ON_LATTICE, Fired, fired_by
+from salpcc.stages.residual_code.message.grid import Grid
+from salpcc.stages.strays.aimed.aimed_layers import GIVEN, OWN
 from salpcc.stages.strays.timeline import LASERS, Passed, Timeline
 
 # What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide; its row and column, void points far away.
 LISTED, FIRED, ROWS, GUIDED = range(4)
 SKY = ROWS + GUIDED + 1
-_FAR = 200.0  # metres
+OF_ROWS = ROWS, ROWS + GUIDED, SKY
+INTENSITY = "/intensity"  # no field of a message is called so
+REFLECTIVITY = "reflectivity"
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 _CLOSE = 0.002  # metres from the lattice
@@ -36,7 +40,7 @@ class Points:
         void: ``(N,)`` whether a point has no return: all zeros, or NaN.
         ranges: ``(N,)`` float64, distance from the sensor in metres, 0 where void.
         periods: distances at which fields may repeat.
-        width: of a row of an organised cloud, else 0.
+        grid: the organised cloud that they are all, or a layer, of; None where it is none.
         sensor: whose lattice they may lie on.
         timeline: lasers and times of the points, where these are known.
         guide: a column ``(N,)`` int64 that the field may follow from, where one is known.
@@ -47,7 +51,7 @@ class Points:
     void: NDArray[np.bool_]
     ranges: NDArray[np.float64]
     periods: tuple[int, ...]
-    width: int = 0
+    grid: Grid | None = None
     sensor: SensorModel | None = None
     timeline: Timeline | None = None
     guide: NDArray[np.int64] | None = None
@@ -61,15 +65,33 @@ class Points:
         sensor: SensorModel | None = None,
         timeline: Timeline | None = None,
         layered: Layered | None = None,
+        source: tuple[NDArray[np.int64], int] | None = None,
     ) -> Points:
-        """Derive it from decoded points; ``width`` is that of a row of an organised cloud, else 0."""
+        """Derive it from decoded points.
+
+        Args:
+            width: of a row of an organised cloud, else 0.
+            source: places of a layer's points in it, and how many it has.
+        """
         wide = xyz.astype(np.float64)
         with np.errstate(invalid="ignore", over="ignore"):
             squares = (wide[:, 0] * wide[:, 0] + wide[:, 1] * wide[:, 1]) + wide[:, 2] * wide[:, 2]
             void = ~((squares > 0) & (squares < 1e12))
         ranges = np.sqrt(np.where(void, 0.0, squares))
-        periods = (1, width, 4 * width) if width > 1 else (1, 16, 32, 64, 128)
-        return cls(xyz, void, ranges, periods, width, sensor, timeline, layered=layered)
+        grid: Grid | None = None
+        periods: tuple[int, ...] = (1, 16, 32, 64, 128)
+        if width > 1 and source is None:
+            periods = 1, width, 4 * width
+            if len(xyz) % width == 0:
+                grid = Grid(width, void, ranges, np.full(len(xyz), OWN, np.uint8))
+        elif width > 1 and source is not None:
+            layers = [(OWN, source[0], void, ranges)]
+            static = None if layered is None else layered.static
+            if static is not None and static.source is not None:
+                beside = cls.of(static.stray_points[:, :3], 0)
+                layers.append((GIVEN, static.source, beside.void, beside.ranges))
+            grid = Grid.of(source[1], width, layers)
+        return cls(xyz, void, ranges, periods, grid, sensor, timeline, layered=layered)
 
     @cached_property
     def fired(self) -> Fired | None:
@@ -110,46 +132,48 @@ class Points:
         """The points of both layers, in file order."""
         assert self.layered is not None and self.layered.static.cloud is not None and self.sensor is not None
         static, movable = self.layered
-        xyz = merged(movable, sweep_to_scan(static, self.sensor).points, self.xyz)
-        layout = self.layered.static.cloud.layout
-        width = layout.width if layout.height > 1 and layout.n_points == len(movable) else 0
-        return Points.of(xyz, width, self.sensor)
+        return Points.of(merged(movable, sweep_to_scan(static, self.sensor).points, self.xyz), 0, self.sensor)
 
     def beside(self, name: str) -> NDArray[Any] | None:
         """The field of this name ``(T,)`` of the static layer, where there is one and the points' own stream tells no times."""
         cloud = None if self.layered is None else self.layered.static.cloud
-        if cloud is None or self.timeline is not None:
+        if self.layered is None or cloud is None or self.timeline is not None:
             return None
+        if name == INTENSITY:
+            return None if self.grid is None else self.layered.static.stray_points[:, 3]
         field = next((column for column in cloud.layout.columns if column.name == name), None)
         return None if field is None else cloud.values(field)
 
     def of_rows(self, values: NDArray[Any]) -> bool:
         """Whether values ``(N,)`` are of an organised cloud, and wide enough to follow from its columns."""
-        return values.dtype.itemsize >= 2 and self.width > 1 and len(values) % self.width == 0
+        return values.dtype.itemsize >= 2 and self.grid is not None
 
     def around(self, what: int) -> Around | None:
         """What values are blended from; None where it is not known."""
         n, nobody, guide = len(self.void), np.full(2, -1), np.zeros(0, np.int64)
-        if what == SKY:
-            far = np.where(self.void, _FAR, self.ranges)
-            return replace(self, void=np.zeros(n, np.bool_), ranges=far).around(ROWS)
-        if what >= GUIDED:
+        if what >= GUIDED and what != SKY:
             if self.guide is None:
                 return None
             what, guide = what - GUIDED, self.guide
-        if what == ROWS:
-            width = self.width if self.width > 1 else 0
+        if what in (ROWS, SKY):
+            if self.grid is None:
+                return None
+            grid = self.grid.lit() if what == SKY else self.grid
+            if len(guide):
+                given = self.beside(REFLECTIVITY)
+                guide = grid.spread(guide, None if given is None else given.astype(np.int64))
             lasers = np.zeros(1, np.int64)
-            return (self.void, self.ranges, width, lasers, nobody, nobody, guide) if width else None
+            return grid.void, grid.ranges, grid.width, lasers, nobody, nobody, guide, grid.role
+        own = np.full(n, OWN, np.uint8)
         if what == LISTED:
-            return self.void, self.ranges, 0, np.zeros(n, np.int64), nobody, nobody, guide
+            return self.void, self.ranges, 0, np.zeros(n, np.int64), nobody, nobody, guide, own
         if self.fired is None:
             return None
         above, below = np.full(self.fired.lasers + 1, -1), np.full(self.fired.lasers + 1, -1)
         if self.sensor is not None:
             order = np.argsort(-self.sensor.theta, kind="stable")[: self.fired.lasers]
             above[order[1:]], below[order[:-1]] = order[:-1], order[1:]
-        return self.void, self.ranges, 0, self.fired.laser, above, below, guide
+        return self.void, self.ranges, 0, self.fired.laser, above, below, guide, own
 
     def ticks(self, what: int) -> tuple[NDArray[np.int64] | None, int]:
         """Ticks ``(N,)`` of points, and those in a turn, where what lies around is of lasers that tell them; else None."""

@@ -24,8 +24,7 @@ from salpcc.stages.residual_code.message.points import Points
     LEARNED,
     MULTIPLES,
     RANKS,
-    WHOLE,
-) = range(12)
+) = range(11)
 Values = NDArray[Any]
 Integers = NDArray[np.int64]
 

@@ -13,7 +13,7 @@ from salpcc.schemas.sweep import Sweep
 
 CODEC_VERSION = 3
 EFFORTS = ("fast", "default", "max")
-MOTION, CLASSES, FLOAT_INTENSITY, CLOUD, LAYER = 1, 2, 4, 8, 16
+MOTION, CLASSES, FLOAT_INTENSITY, CLOUD, LAYER, SOURCE = 1, 2, 4, 8, 16, 32
 MAX_POINTS = 1 << 24
 SIX = struct.Struct("<6d")  # a motion
 _CLOUD = struct.Struct("<qIB")
@@ -57,6 +57,7 @@ def content_crc(sweep: Sweep) -> int:
         (sweep.stray_points, "<f4"),
         (sweep.classes, "u1"),
         (sweep.stray_classes, "u1"),
+        (sweep.source, "<i8"),
         (sweep.lead, "<i8"),
     ):
         if array is not None:

@@ -21,6 +21,7 @@ from salpcc.stages.residual_code.sensor.header import (
     MAX_POINTS,
     MOTION,
     SIX,
+    SOURCE,
     Header,
 )
 from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding
@@ -100,8 +101,9 @@ def unpack(data: bytes) -> tuple[Header, dict[str, bytes]]:
             position += _LENGTH.size
     sound = (
         effort < len(EFFORTS)
-        and flags < 32
+        and flags < 64
         and not flags & MOTION * bool(flags & LAYER)
+        and not (flags & SOURCE and returns)
         and reserved == 0
         and returns + strays <= n_points <= MAX_POINTS
         and 1 <= step < 1 << 16

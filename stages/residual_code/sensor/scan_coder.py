@@ -6,6 +6,7 @@ and the motion. Its ranges and intensities are not predicted from the static lay
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,8 @@ def encode_scan(
         state: of the GOP; the static and the movable layer have their own.
         static: the static layer, where the sweep is the movable one.
     """
+    if len(sweep.laser) or (static is not None and static.source is None):
+        sweep = replace(sweep, source=None)
     scan = Encoding(sweep, sensor, predicted, state, static)
     streams = {stream.name: stream.encode(scan) for stream in STREAMS}
     motion = sweep.motion if static is None else None

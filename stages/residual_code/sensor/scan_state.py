@@ -24,10 +24,25 @@ from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import CLOUD, FLOAT_INTENSITY, Header
 from salpcc.stages.residual_code.sensor.value_models import ValueModels
-from salpcc.stages.strays.stray_coder import Among, Plan, plan
+from salpcc.stages.strays.aimed.aimed_layers import Among
+from salpcc.stages.strays.stray_coder import Plan, plan
 from salpcc.stages.strays.timeline import Timeline
 
 _PATIENCE = 2  # scans of a group whose points are sought by their times in vain: a search takes seconds
+
+
+def among_source(n: int, own: NDArray[np.int64] | int, static: Sweep | None, width: int = 1) -> Among:
+    """Return where points of a layer stand among the ``n`` of an organised cloud.
+
+    Args:
+        own: their places, or how many they are.
+        static: the static layer, where they are of the movable one.
+        width: of a row, which a writer knows.
+    """
+    if static is None:
+        return Among.of_source(n, own, width)
+    assert static.source is not None
+    return Among.of_source(n, own, width, (static.source, static.stray_points[:, :3]))
 
 
 def points_beside(static: Sweep | None) -> NDArray[np.float32] | None:
@@ -99,8 +114,11 @@ class Encoding:
         if sweep.cloud is not None and len(sweep.laser) == 0 and self.state.timeless < _PATIENCE:
             times = times_of(self.listed.cloud)  # type: ignore[arg-type]
         among, beside = None, points_beside(self.static)
-        if self.layered is not None and beside is not None and len(sweep.laser) == 0:
-            among = Among(beside, self.layered.movable)
+        if sweep.source is not None:
+            width = 1 if sweep.cloud is None else sweep.cloud.layout.width
+            among = among_source(sweep.n_points, sweep.source, self.static, width)
+        elif self.layered is not None and beside is not None and len(sweep.laser) == 0:
+            among = Among.of_list(len(sweep), beside, self.layered.movable)
         found = plan(
             sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
             lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],

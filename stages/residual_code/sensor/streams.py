@@ -23,9 +23,10 @@ from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message import logged_scan
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.correction_coder import FLOAT32, MILLIMETRE
-from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER
-from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding, points_beside
+from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER, SOURCE
+from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding, among_source, points_beside
 from salpcc.stages.residual_code.stream import Stream
+from salpcc.stages.strays.aimed.aimed_layers import Among
 from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, learned_number
 from salpcc.stages.strays.stray_values import decode_values, encode_values
 
@@ -145,6 +146,8 @@ def _corrections(
 
 
 def _encode_strays(scan: Encoding) -> bytes:
+    if scan.sweep.source is not None:
+        scan.flags |= SOURCE
     stream = _written_strays(scan)
     if number := learned_number(stream):
         scan.state.lists.settle(number)
@@ -153,6 +156,7 @@ def _encode_strays(scan: Encoding) -> bytes:
 
 def _written_strays(scan: Encoding) -> bytes:
     index, layouts = scan.sweep.stray_index, scan.state.layouts
+    index = index if scan.sweep.source is None else scan.sweep.source
     stream = encode_strays(index, scan.strays)
     if len(scan.sweep.laser) or not len(index):  # not all points of a scan, in their order
         return stream
@@ -168,6 +172,15 @@ def _written_strays(scan: Encoding) -> bytes:
 def _decode_strays(scan: Decoding, stream: bytes) -> None:
     header, sweep = scan.header, scan.sweep
     moved = header.motion if header.returns == 0 else None
+    static = scan.static
+    among, source, beside = None, None, points_beside(static)
+    if header.flags & SOURCE:
+        of_both = header.strays + (0 if static is None else len(static))
+        require_sound(header.n_points >= of_both)
+        require_sound(static is None or (static.source is not None and static.n_points == header.n_points))
+        among = among_source(header.n_points, header.strays, static)
+    elif beside is not None and header.returns == 0:
+        among = Among.of_list(header.strays, beside)
     places, points, scan.timeline, sound = decode_strays(
         header.strays,
         header.max_error,
@@ -175,16 +188,26 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
         scan.sensor,
         moved,
         scan.state.lists,
-        points_beside(scan.static),
+        among,
     )
     require_sound(sound)
     if scan.timeline is not None:
         require_sound(header.returns == 0, header.flags & CLOUD)
-    of_all = header.returns + header.strays + (0 if scan.static is None else len(scan.static))
+    of_all = header.returns + header.strays + (0 if static is None else len(static))
+    if header.flags & SOURCE:
+        of_all = header.n_points
     if header.strays:
         require_sound(places[0] >= 0, places[-1] < of_all, (np.diff(places) > 0).all())
-    fourth = np.zeros(header.strays, np.float32)
-    scan.sweep = replace(sweep, stray_index=places, stray_points=np.column_stack([points, fourth]))
+    if header.flags & SOURCE:
+        source = places
+        kept = np.zeros(header.n_points, np.bool_)
+        if static is not None and static.source is not None:
+            kept[static.source] = True
+        require_sound(not kept[source].any())
+        kept[source] = True
+        places = (np.cumsum(kept) - 1)[source]
+    points = np.column_stack([points, np.zeros(header.strays, np.float32)])
+    scan.sweep = replace(sweep, stray_index=places, stray_points=points, source=source)
 
 
 # Intensities of returns: hundredths, any float, or a field of the recorded message, strays' included.
@@ -284,7 +307,7 @@ def _decode_cloud(scan: Decoding, stream: bytes) -> None:
     found = logged_scan.decode_logged(
         listed, scan.sensor, stream, of_field, scan.state.envelope, scan.state.fields, scan.timeline, layered
     )
-    scan.sweep = replace(found, stray_index=sweep.stray_index, lead=sweep.lead)
+    scan.sweep = replace(found, stray_index=sweep.stray_index, source=sweep.source, lead=sweep.lead)
 
 
 # Classes of the strays, then of the returns.

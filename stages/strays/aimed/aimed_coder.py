@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.residual_bits import code_number, size_of
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
-from salpcc.stages.strays.aimed.aimed_layers import code_layer, learn_layer, take
+from salpcc.stages.strays.aimed.aimed_layers import GIVEN, GONE, OWN, code_next, code_role, learn_layer, take
 from salpcc.stages.strays.aimed.aimed_neighbours import (
     GUESSES,
     SURFACE,
@@ -128,7 +128,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
     models,
     room,
     learned,
-    static,
+    layer,
     state,
     data,
 ):
@@ -144,7 +144,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
             driver (:data:`~salpcc.stages.lattice.drivers.NO_DRIVER`: none).
         room: of :func:`new_room`.
         learned: models and what they see, of efforts above ``fast``, or None: then lasers, ticks and counts are coded in the two contexts of each.
-        static: the layer beside, where the points are those of both (:mod:`.aimed_layers`).
+        layer: what of the list is to be coded, where it has two layers (:mod:`.aimed_layers`).
         motion: whether there is one, its six numbers, s of each point ``(S,)``, and whether what it leaves changes slowly.
     """
     parameters, constants, sines, cosines, count_size, phase, above, below, driver = sensor
@@ -172,21 +172,28 @@ def code_aimed(  # type: ignore[no-untyped-def]
     slots = len(slot_laser)
     base, base_cycle, pace, miss = 0, -1, 0, 0  # of firings: tick, number, ticks from one to the next
     recent, earlier_one, behind = -1, -1, 0
-    layered = len(static.movable) > 0
+    layered = len(layer.role) > 0
+    lag = max(left, up) if max(left, up) > 1 else 0
     for i in range(n):
-        given = False  # of the static layer
-        if layered:
+        role = OWN
+        if layered and layer.organised:
+            role = code_role(writing, state, data, layer, kinds, i, lag)
+        elif layered:
             due, expected = -1, 0
             if left > 0:
                 due = slot_laser[i % slots]
                 expected = base + relative[i % slots] + pace * (i // slots - base_cycle)
             elif recent >= 0:
-                due = static.after[laser[recent]]
+                due = layer.after[laser[recent]]
                 expected = tick[recent] + (hop[laser[recent], due] if due >= 0 else 0)
-            given = code_layer(writing, state, data, static, i, behind, due, expected, ticks) == 0
-            if given:
-                take(static, behind, i, points, kinds, laser, tick, level)
-                behind += 1
+            role = code_next(writing, state, data, layer, i, behind, due, expected, ticks)
+        if role == GONE:
+            kinds[i] = AIMED  # as most points are
+            continue
+        given = role == GIVEN  # a reader has it
+        if given:
+            take(layer, behind, i, points, kinds, laser, tick, level)
+            behind += 1
         kind = np.int64(kinds[i])
         if not given:
             kind = code_kind(writing, state, data, of_kind, kinds, i, left, up)
@@ -342,5 +349,5 @@ def code_aimed(  # type: ignore[no-untyped-def]
             points[i, 0], points[i, 1], points[i, 2] = x, y, z
         if kind == AIMED:
             if layered:
-                learn_layer(static, i, k, np.int64(laser[recent]) if recent >= 0 else -1)
+                learn_layer(layer, k, np.int64(laser[recent]) if recent >= 0 else -1, role == OWN)
             earlier_one, recent = recent, i

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.find_lasers import find_firing
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.strays.aimed.aimed_layers import OWN, Among
 from salpcc.stages.strays.aimed.aimed_stream import (
     EXACT_REACH,
     Aimed,
@@ -59,6 +60,7 @@ def choose(
     clock: Clock | None = None,
     like: Layout | None = None,
     learned: Learned | None = None,
+    among: Among | None = None,
 ) -> tuple[Way, Aimed] | None:
     """Return how points ``(S, 3)`` are best put on the lattice, and there; None where too few of them lie on it.
 
@@ -68,6 +70,7 @@ def choose(
         s, clock: of each point ``(S,)``, and of the cloud, where the motion is by time.
         like: the layout that is taken without a trial, where it is a likely one.
         learned: of such points before, for efforts above ``fast``.
+        among: which of the points are to be coded, where it is not all of them.
     """
     if not _FEWEST <= len(points) <= MOST_POINTS:
         return None
@@ -84,14 +87,17 @@ def choose(
     if share_on_lattice(aimed.kinds) < _LEAST_SHARE:
         return None
     if moved is None or s is not None:
-        layouts = likely_layouts(points, lanes=True)
+        layouts = likely_layouts(points, lanes=among is None or among.width == 0)
+        if among is not None and among.width and (1, among.width) not in layouts:
+            layouts.append((1, among.width))
         layouts = [like] if like in layouts else layouts
     ways = [replace(way, layout=layout) for layout in layouts]
     way = ways[0]
     if len(ways) > 1:
-        way = min(ways, key=lambda w: _tried(aimed, points, sensor, w))
+        tried = among if among is not None and len(among.given) == 0 else None  # few points tell little
+        way = min(ways, key=lambda w: _tried(aimed, points, sensor, w, tried))
     if not exact and not settled:
-        aimed = settle(aimed, points, sensor, way, max_error)
+        aimed = settle(aimed, points, sensor, way, max_error, among)
         if share_on_lattice(aimed.kinds) < _LEAST_SHARE:  # they would not be found there again
             return None
     return replace(way, learned=learned, shuffled=learned is not None and is_shuffled(aimed, sensor)), aimed
@@ -103,13 +109,14 @@ def share_on_lattice(kinds: Array) -> float:
     return 1.0 - off / max(off + on, 1)
 
 
-def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way) -> int:
+def _tried(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, among: Among | None) -> int:
     """Bytes that the beginning takes."""
     part = slice(0, _TRIED)
     first = aimed.some(part)
     out = np.empty(32 * len(first.points) + 4096, np.uint8)
     way = way if way.s is None else replace(way, s=way.s[part])
-    written = write_aimed(first, np.ascontiguousarray(points[part]), sensor, way, out)
+    some = None if among is None else among.first(_TRIED)
+    written = write_aimed(first, np.ascontiguousarray(points[part]), sensor, way, out, some)
     return written if written >= 0 else len(out)
 
 
@@ -118,21 +125,21 @@ def write_body(
     points: F32,
     sensor: SensorModel,
     write_rest: Callable[[F32], bytes],
-    movable: NDArray[np.bool_] | None = None,
+    among: Among | None = None,
 ) -> bytes | None:
     """Encode points ``(S, 3)``; ``write_rest`` encodes those off the lattice. None where a reader would have other points.
 
     Args:
-        movable: ``(S,)``, which of the points are encoded where a reader has the others, the static layer.
+        among: which of the points are encoded, where a reader has others, or none.
     """
     way, aimed = chosen
     out = np.empty(32 * len(points) + 4096, np.uint8)
-    written = write_aimed(aimed, points, sensor, way, out, movable)
+    written = write_aimed(aimed, points, sensor, way, out, among)
     if written < 0:
         return None
     off = aimed.kinds == OFF
-    if movable is not None:
-        off &= movable
+    if among is not None:
+        off &= among.role == OWN
     number = 0 if way.learned is None else way.learned.number
     head = _BODY.pack(way.form + _SHUFFLED * way.shuffled + (number << 4), way.step, int(off.sum()), written)
     return (
@@ -152,14 +159,14 @@ def read_body(
     s: NDArray[np.float64] | None = None,
     clock: Clock | None = None,
     lists: LearnedLists | None = None,
-    static: F32 | None = None,
-) -> tuple[F32, Array, NDArray[np.bool_], bool]:
-    """Inverse of :func:`write_body`: points ``(n, 3)``, their lasers ``(n,)`` (OFF_LASER off the lattice), which are movable, and whether the data made sense.
+    among: Among | None = None,
+) -> tuple[F32, Array, bool]:
+    """Inverse of :func:`write_body`: points ``(n, 3)``, their lasers ``(n,)`` (OFF_LASER off the lattice), and whether the data made sense.
 
     Args:
-        static: points ``(T, 3)`` of the static layer, of which there are ``n`` with those that are read.
+        among: in which points that are not GIVEN get their roles.
     """
-    nothing = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8), np.ones(n, np.bool_), False
+    nothing = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8), False
     if n > MOST_POINTS or len(data) < _BODY.size:
         return nothing
     form, step, off, length = _BODY.unpack(data[: _BODY.size].tobytes())
@@ -178,16 +185,18 @@ def read_body(
     moved = None if motion is None else tuple(motion.tolist())
     learned = lists.of_number(number) if lists is not None and number else None
     way = Way(layout, form, per, form != ALONG, step, moved, s, clock, learned, shuffled)
-    aimed, movable, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]), static)
+    aimed, sound = read_aimed(n, sensor, way, np.ascontiguousarray(data[_BODY.size : end]), among)
     if learned is not None:
         learned.settle()
     points = aimed.points
-    are_off = (aimed.kinds == OFF) & movable
+    are_off = aimed.kinds == OFF
+    if among is not None:
+        are_off &= among.role == OWN
     if not sound or int(are_off.sum()) != off:
         return nothing
     if off:
         points[are_off], sound = read_rest(off, np.ascontiguousarray(data[end:]))
-    return points, lasers_of(aimed), movable, bool(sound and (off > 0 or end == len(data)))
+    return points, lasers_of(aimed), bool(sound and (off > 0 or end == len(data)))
 
 
 def lasers_of(aimed: Aimed) -> Array:

@@ -17,7 +17,7 @@ from salpcc.stages.lattice.list_motion import places, redo, undo
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, turn_tables
 from salpcc.stages.strays.aimed.aimed_coder import MAX_LEVEL, NAN_BITS, code_aimed, new_room
-from salpcc.stages.strays.aimed.aimed_layers import Beside, beside, nothing_beside
+from salpcc.stages.strays.aimed.aimed_layers import GIVEN, OWN, Among, Layer, layer, only_layer
 from salpcc.stages.strays.aimed.aimed_symbols import AIMED, NAN, OFF, ZERO, new_models
 from salpcc.stages.strays.learned.learned_lists import Learned
 from salpcc.stages.strays.learned.moved_sweep import Clock, Passing, Turn
@@ -120,14 +120,19 @@ def is_shuffled(aimed: Aimed, sensor: SensorModel) -> bool:
     return bool(min(back, len(went) - back) > _TO_AND_FRO * len(went))
 
 
-def settle(aimed: Aimed, points: F32, sensor: SensorModel, way: Way, max_error: float) -> Aimed:
+def settle(
+    aimed: Aimed, points: F32, sensor: SensorModel, way: Way, max_error: float, among: Among | None = None
+) -> Aimed:
     """Turn ticks to where the coder expects them, as far as points ``(S, 3)`` stay within ``max_error``.
 
     All points but those of kind OFF will be found again at the same places by a :func:`put` that moves no bit.
     """
     eased = replace(aimed.some(slice(None)), points=points.copy())
     scratch = np.empty(64 * len(points) + 4096, np.uint8)
-    _code(True, eased.points, eased, sensor, way, max_error - _ROUNDING, start_encoder(), scratch)
+    part = None if among is None else _layer(among, aimed)
+    _code(True, eased.points, eased, sensor, way, max_error - _ROUNDING, start_encoder(), scratch, part)
+    if among is not None:
+        eased = replace(eased, kinds=np.where(among.role == OWN, eased.kinds, aimed.kinds))
     on = eased.kinds == AIMED
     model, _ = _decoded(eased.laser, eased.tick, eased.level, sensor, way)
     moved = np.where(on[:, None], model.astype(np.float32), aimed.points)
@@ -156,21 +161,21 @@ def write_aimed(
     sensor: SensorModel,
     way: Way,
     out: NDArray[np.uint8],
-    movable: NDArray[np.bool_] | None = None,
+    among: Among | None = None,
 ) -> int:
     """Write ``points`` whose lattice places are ``aimed``; return the bytes written to ``out``.
 
     -1: ``out`` is full, or a reader would have other points.
 
     Args:
-        movable: ``(S,)``, which of the points are written where a reader has the others, the static layer.
+        among: which of the points are written, where a reader has others, or none.
     """
     state = start_encoder()
     told = points.copy()
-    static = None
-    if movable is not None:
-        static = _beside(aimed.some(~movable), points[~movable], movable.astype(np.uint8))
-    _code(True, told, aimed, sensor, way, 0.0, state, out, static)
+    walked, part = aimed, None
+    if among is not None:
+        walked, part = aimed.some(slice(None)), _layer(among, aimed)
+    _code(True, told, walked, sensor, way, 0.0, state, out, part)
     on = aimed.kinds != OFF
     if (told.view(np.int32)[on] != points.view(np.int32)[on]).any():
         return -1
@@ -178,12 +183,12 @@ def write_aimed(
 
 
 def read_aimed(
-    n: int, sensor: SensorModel, way: Way, data: NDArray[np.uint8], static: F32 | None = None
-) -> tuple[Aimed, NDArray[np.bool_], bool]:
-    """Inverse of :func:`write_aimed`: ``n`` points, which of them are movable, and whether the data made sense; those of kind OFF are zeros.
+    n: int, sensor: SensorModel, way: Way, data: NDArray[np.uint8], among: Among | None = None
+) -> tuple[Aimed, bool]:
+    """Inverse of :func:`write_aimed`: ``n`` points, and whether the data made sense; those of kind OFF are zeros.
 
     Args:
-        static: points ``(T, 3)`` of the static layer, of which there are ``n`` with those that are read.
+        among: in which those that are not GIVEN get their roles.
     """
     empty = Aimed(
         np.zeros((n, 3), np.float32),
@@ -192,19 +197,20 @@ def read_aimed(
         np.zeros(n, np.int64),
         np.zeros(n, np.int64),
     )
-    movable = np.ones(n, np.uint8)
-    layer = None
-    if static is not None:
-        known = put(static, sensor, way, EXACT_REACH if way.exact else 0.0)
-        layer = _beside(known, static, movable)
+    part = None
+    if among is not None:
+        part = _layer(among, put(among.given, sensor, way, EXACT_REACH if way.exact else 0.0))
     state = start_decoder(data)
-    _code(False, empty.points, empty, sensor, way, 0.0, state, data, layer)
-    return empty, movable > 0, bool(state[3] == 0)
+    _code(False, empty.points, empty, sensor, way, 0.0, state, data, part)
+    return empty, bool(state[3] == 0)
 
 
-def _beside(known: Aimed, points: F32, movable: NDArray[np.uint8]) -> Beside:
-    """Return a static layer whose ``points`` are ``known``."""
-    return beside(movable, points, known.kinds, known.laser, known.tick, known.level)
+def _layer(among: Among, aimed: Aimed) -> Layer:
+    """Return what a walk takes along of a layer; ``aimed``: its list, or what is given of it."""
+    known = aimed
+    if len(aimed.kinds) == len(among.role):
+        known = aimed.some(among.role == GIVEN)
+    return layer(among, known.kinds, known.laser, known.tick, known.level)
 
 
 def _code(
@@ -216,7 +222,7 @@ def _code(
     reach: float,
     state: I64,
     data: NDArray[np.uint8],
-    static: Beside | None = None,
+    part: Layer | None = None,
 ) -> None:
     motion = False, (0.0,) * 6, np.zeros(1), False
     if way.motion is not None:
@@ -233,7 +239,7 @@ def _code(
     code_aimed(
         writing, points, aimed.kinds, aimed.laser, aimed.tick, aimed.level, *way.layout, way.form, float(way.per), way.exact,
         way.step, reach, _tables(sensor), motion, new_models(), room, learned,
-        static or nothing_beside(), state, data,
+        part or only_layer(), state, data,
     )  # fmt: skip
 
 

@@ -75,7 +75,7 @@ def read_moved(
     time = time + first
     s = timed_places(time, float(numbers[0]))
     body = np.ascontiguousarray(data[begin + _MOTION.size :])
-    points, laser, _, sound = read_body(
+    points, laser, sound = read_body(
         n, layout, per, True, body, sensor, numbers[1:], read_rest, s, Clock.of(time), lists
     )
     return points, Timeline(laser, time, 0, passed_of(body, lists)), sound

@@ -1,4 +1,4 @@
-"""The points of a movable layer, told among those of the static one."""
+"""The points of a layer: of a movable one among those of the static one, of either in an organised cloud."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.strays.aimed.aimed_layers import Among
 from salpcc.stages.strays.learned.learned_lists import LearnedLists
 from salpcc.stages.strays.stray_coder import (
     AMONG,
-    Among,
+    PLACED,
     decode_strays,
     encode_strays,
     learned_number,
@@ -38,10 +39,15 @@ def layers_of(rows: Points, order: str) -> tuple[Points, NDArray[np.bool_]]:
     return np.ascontiguousarray(flat[:, :3]), flat[:, 3] > 0
 
 
+def bytes_of(data: bytes) -> NDArray[np.uint8]:
+    return np.frombuffer(bytearray(data), np.uint8)
+
+
 def read_back(
     data: bytes, n: int, fan: SensorModel, static: Points | None, max_error: float = 0.0, lists=None
 ):  # type: ignore[no-untyped-def]
-    return decode_strays(n, max_error, np.frombuffer(bytearray(data), np.uint8), fan, None, lists, static)
+    among = None if static is None else Among.of_list(n, static)
+    return decode_strays(n, max_error, bytes_of(data), fan, None, lists, among)
 
 
 @pytest.mark.parametrize("order", ["rows", "rows, returns", "firings", "firings, returns"])
@@ -51,7 +57,7 @@ def test_takes_less_than_alone(fan: SensorModel, rows: Points, order: str, max_e
     moving, still = snap(whole[mask], max_error, fan), snap(whole[~mask], max_error, fan)
     places = np.flatnonzero(mask)
     alone = encode_strays(places, plan(moving, max_error, fan))
-    data = encode_strays(places, plan(moving, max_error, fan, among=Among(still, mask)))
+    data = encode_strays(places, plan(moving, max_error, fan, among=Among.of_list(len(moving), still, mask)))
     assert data[4] == AMONG
     found, points, told, sound = read_back(data, len(moving), fan, still, max_error)
     assert sound
@@ -67,7 +73,9 @@ def test_learns_from_scan_to_scan(fan: SensorModel, rows: Points) -> None:
     writer, reader = LearnedLists(), LearnedLists()
     sizes = []
     for _ in range(3):
-        found = plan(moving, 0.0, fan, learned=writer.of_topic("/a"), among=Among(still, mask))
+        found = plan(
+            moving, 0.0, fan, learned=writer.of_topic("/a"), among=Among.of_list(len(moving), still, mask)
+        )
         data = encode_strays(np.flatnonzero(mask), found)
         writer.settle(learned_number(data))
         places, points, _, sound = read_back(data, len(moving), fan, still, lists=reader)
@@ -89,7 +97,9 @@ def test_odd_points_of_either_layer(fan: SensorModel, rows: Points, max_error: f
         whole[at : at + 4] = [[np.nan] * 3, [np.inf, 0, 1], [0, 0, 3], [-0.0, 0, 0]]
     assert mask[15 * 512 + 210]
     moving, still = snap(whole[mask], max_error, fan), snap(whole[~mask], max_error, fan)
-    data = encode_strays(np.flatnonzero(mask), plan(moving, max_error, fan, among=Among(still, mask)))
+    data = encode_strays(
+        np.flatnonzero(mask), plan(moving, max_error, fan, among=Among.of_list(len(moving), still, mask))
+    )
     assert data[4] == AMONG
     places, points, _, sound = read_back(data, len(moving), fan, still, max_error)
     assert sound
@@ -101,7 +111,9 @@ def test_another_static_layer_is_no_reader(fan: SensorModel, rows: Points) -> No
     """Without the static layer, or with one of other points, nothing is given back as sound that is not."""
     whole, mask = layers_of(rows, "firings, returns")
     moving, still = whole[mask], whole[~mask]
-    data = encode_strays(np.flatnonzero(mask), plan(moving, 0.0, fan, among=Among(still, mask)))
+    data = encode_strays(
+        np.flatnonzero(mask), plan(moving, 0.0, fan, among=Among.of_list(len(moving), still, mask))
+    )
     assert not read_back(data, len(moving), fan, None)[3]
     assert not read_back(data, len(moving), None, still)[3]  # type: ignore[arg-type]
     _, points, _, sound = read_back(data, len(moving), fan, np.ascontiguousarray(still[1:]))
@@ -113,9 +125,96 @@ def test_another_static_layer_is_no_reader(fan: SensorModel, rows: Points) -> No
 def test_damage_ends(fan: SensorModel, rows: Points, at: int, value: int, cut: int) -> None:
     whole, mask = layers_of(rows, "firings, returns")
     moving, still = whole[mask], whole[~mask]
-    data = bytearray(encode_strays(np.flatnonzero(mask), plan(moving, 0.0, fan, among=Among(still, mask))))
+    data = bytearray(
+        encode_strays(
+            np.flatnonzero(mask), plan(moving, 0.0, fan, among=Among.of_list(len(moving), still, mask))
+        )
+    )
     data[at % len(data)] = value
     if cut % 3 == 0:
         data = data[: cut % len(data)]
     places, points, _, _ = read_back(bytes(data), len(moving), fan, still)
     assert len(places) == len(points) == len(moving)
+
+
+def in_cloud(rows: Points, order: str) -> tuple[Points, NDArray[np.int64], NDArray[np.int64], int]:
+    """Points of an organised cloud, the places of those that stay and of those that move, and its width."""
+    whole, mask = layers_of(rows, order)
+    return whole, np.flatnonzero(~mask), np.flatnonzero(mask), rows.shape[1 if order == "rows" else 0]
+
+
+@pytest.mark.parametrize("order", ["rows", "firings"])
+@pytest.mark.parametrize("max_error", [0.0, 0.01])
+def test_layers_of_an_organised_cloud(fan: SensorModel, rows: Points, order: str, max_error: float) -> None:
+    """The static layer tells what is gone, and decodes alone; then the movable one tells no places."""
+    whole, stays, goes, width = in_cloud(rows, order)
+    n = len(whole)
+    alone = Among.of_source(n, stays, width)
+    still = snap(whole[stays], max_error, fan, among=alone)
+    data = encode_strays(stays, plan(still, max_error, fan, among=alone))
+    assert data[4] == PLACED
+    found, points, _, sound = decode_strays(
+        len(still), max_error, bytes_of(data), fan, among=Among.of_source(n, len(still), 1)
+    )
+    assert sound
+    assert (found == stays).all()
+    assert points.tobytes() == still.tobytes()
+
+    moving = snap(whole[goes], max_error, fan)
+    told = encode_strays(
+        goes, plan(moving, max_error, fan, among=Among.of_source(n, goes, width, (stays, still)))
+    )
+    assert told[4] == PLACED
+    found, points, _, sound = decode_strays(
+        len(moving), max_error, bytes_of(told), fan,
+        among=Among.of_source(n, len(moving), 1, (stays, still)),
+    )  # fmt: skip
+    assert sound
+    assert (found == goes).all()
+    assert points.tobytes() == moving.tobytes()
+
+    mask = np.isin(np.arange(n), goes)
+    listed = encode_strays(goes, plan(moving, max_error, fan, among=Among.of_list(len(moving), still, mask)))
+    first = encode_strays(np.arange(len(still)), plan(still, max_error, fan))
+    assert len(data) + len(told) < len(first) + len(listed)
+
+
+def test_some_of_a_movable_layer_taken_out(fan: SensorModel, rows: Points) -> None:
+    whole, stays, goes, width = in_cloud(rows, "rows")
+    left = goes[goes % 3 > 0]
+    given = stays, whole[stays]
+    data = encode_strays(
+        left, plan(whole[left], 0.0, fan, among=Among.of_source(len(whole), left, width, given))
+    )
+    assert data[4] == PLACED
+    among = Among.of_source(len(whole), len(left), 1, given)
+    found, points, _, sound = decode_strays(len(left), 0.0, bytes_of(data), fan, among=among)
+    assert sound
+    assert (found == left).all()
+    assert points.tobytes() == whole[left].tobytes()
+
+
+def test_narrow_rows(fan: SensorModel, rows: Points) -> None:
+    """What is not yet known is not looked at, however short rows are."""
+    whole, stays, _, _ = in_cloud(rows[:2], "firings")
+    data = encode_strays(stays, plan(whole[stays], 0.0, fan, among=Among.of_source(len(whole), stays, 2)))
+    assert data[4] == PLACED
+    among = Among.of_source(len(whole), len(stays), 1)
+    found, points, _, sound = decode_strays(len(stays), 0.0, bytes_of(data), fan, among=among)
+    assert sound
+    assert (found == stays).all()
+    assert points.tobytes() == whole[stays].tobytes()
+
+
+@settings(max_examples=60, deadline=None)
+@given(at=st.integers(0, 1 << 30), value=st.integers(0, 255), form=st.sampled_from([AMONG, PLACED]))
+def test_damage_of_places_ends(fan: SensorModel, rows: Points, at: int, value: int, form: int) -> None:
+    whole, stays, _, width = in_cloud(rows, "rows")
+    among = Among.of_source(len(whole), stays, width)
+    data = bytearray(encode_strays(stays, plan(whole[stays], 0.0, fan, among=among)))
+    data[4] = form
+    data[at % len(data)] = value
+    among = Among.of_source(len(whole), len(stays), 1)
+    places, points, _, sound = decode_strays(len(stays), 0.0, bytes_of(bytes(data)), fan, among=among)
+    assert len(places) == len(points) == len(stays)
+    assert not sound or data[4] != AMONG

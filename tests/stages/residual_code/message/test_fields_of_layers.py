@@ -1,10 +1,14 @@
 """Fields of the two layers of a cloud: times of firings and columns are known from the static layer."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
+from salpcc.stages.lattice.layers import Layered
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field, encode_like
 from salpcc.stages.residual_code.message.firing_times import (
     Clocked,
@@ -13,9 +17,10 @@ from salpcc.stages.residual_code.message.firing_times import (
     encode_times,
     find_times,
 )
+from salpcc.stages.residual_code.message.learned_values import LearnedField
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.ranks import encode_ranks
-from salpcc.stages.residual_code.message.records import RANKS
+from salpcc.stages.residual_code.message.records import COLUMNS, LEARNED, MULTIPLES, RANKS
 
 LASERS, FIRINGS = 16, 400
 I64 = NDArray[np.int64]
@@ -104,3 +109,67 @@ def test_damaged_ranks_are_refused() -> None:
     record[9:13] = (1 << 31).to_bytes(4, "little")
     with pytest.raises(ArchiveError):
         decode_field(bytes(record), 0, static.dtype, points)
+
+
+def in_rows(mask: NDArray[np.bool_], width: int = 256) -> tuple[Points, Points]:
+    """Points of the static and of the movable layer of an organised cloud, at distances that change smoothly, some without a return."""
+    at = np.arange(len(mask))
+    ranges = 10 + np.sin(at % width / 20) + at // width * 0.1
+    xyz = np.zeros((len(mask), 3), np.float32)
+    xyz[:, 0] = np.where(at % 7 == 0, 0, ranges)
+    stays, goes = np.flatnonzero(~mask), np.flatnonzero(mask)
+    static: Any = SimpleNamespace(source=stays, stray_points=xyz[stays], cloud=None)
+    of_static = Points.of(xyz[stays], width, source=(stays, len(mask)))
+    return of_static, Points.of(xyz[goes], width, layered=Layered(static, mask), source=(goes, len(mask)))
+
+
+def test_times_of_columns_in_layers() -> None:
+    """Both layers keep the columns; those that the static one has tell the movable ones."""
+    time, mask = columns()
+    static, movable = in_rows(mask)
+    for points, values, beside in ((static, time[~mask], None), (movable, time[mask], time[~mask])):
+        record = encode_field(values, points, None, None, beside)
+        assert record[0] == COLUMNS
+        back, end = decode_field(record, 0, values.dtype, points, None, None, beside)
+        assert end == len(record)
+        assert (back == values).all()
+        assert encode_like(record, values, points, None, None, beside) == record
+    assert len(record) < len(encode_field(time[mask], Points.of(movable.xyz, 0))) / 2
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.float32])
+@pytest.mark.parametrize("learns", [False, True])
+def test_pictures_in_layers(kind: type, learns: bool) -> None:
+    """Light without a return, steps of 8, and pixels of the other layer as neighbours."""
+    _, mask = columns()
+    rng = np.random.default_rng(5)
+    light = np.cumsum(rng.integers(-1, 2, 256))[None] + np.cumsum(rng.integers(-1, 2, 32))[:, None]
+    step = 8 if learns and kind is np.uint16 else 1
+    values = (step * (60 + light.ravel() + rng.integers(0, 2, len(mask)))).astype(kind)
+    static, movable = in_rows(mask)
+    for points, own, beside in ((static, values[~mask], None), (movable, values[mask], values[~mask])):
+        writer, reader = LearnedField(), LearnedField()
+        sizes = []
+        for _ in range(2):  # the second time from what was learned
+            record = encode_field(own, points, None, writer if learns else None, beside)
+            inner = record[9:] if record[0] == MULTIPLES else record
+            assert inner[1] in (2, 5, 6)
+            writer.settle(inner[1] if inner[0] == LEARNED else None)
+            back, end = decode_field(record, 0, own.dtype, points, None, reader if learns else None, beside)
+            assert end == len(record)
+            assert back.tobytes() == own.tobytes()
+            sizes.append(len(record))
+    plain = Points.of(movable.xyz, 0)
+    assert sizes[0] < len(encode_field(values[mask], plain, None, LearnedField() if learns else None))
+
+
+def test_damaged_fields_of_layers_are_refused() -> None:
+    time, mask = columns()
+    static, _ = in_rows(mask)
+    record = bytearray(encode_field(time[~mask], static))
+    listed = Points.of(static.xyz, 0)
+    with pytest.raises(ArchiveError):
+        decode_field(bytes(record), 0, time.dtype, listed)
+    record[10:14] = (1 << 31).to_bytes(4, "little")
+    with pytest.raises(ArchiveError):
+        decode_field(bytes(record), 0, time.dtype, static)

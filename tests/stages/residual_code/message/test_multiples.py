@@ -80,7 +80,7 @@ def test_light_without_returns_is_a_picture_too() -> None:
     values = light.copy()
     values[points.void] = 0
     assert encode_field(values, points, None, LearnedField())[1] != SKY
-    few = replace(points, width=0)
+    few = replace(points, grid=None)
     with pytest.raises(ArchiveError, match="does not decode"):
         decode_field(record, 0, light.dtype, few, None, LearnedField())
 

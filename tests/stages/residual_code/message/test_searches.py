@@ -10,6 +10,7 @@ from salpcc.stages.residual_code.message.blended_values import encode_blended
 from salpcc.stages.residual_code.message.column_values import encode_columns, find_shifts
 from salpcc.stages.residual_code.message.firing_times import _sorted
 from salpcc.stages.residual_code.message.points import LISTED, Points
+from salpcc.stages.strays.aimed.aimed_layers import OWN
 
 I64 = NDArray[np.int64]
 RNG = np.random.default_rng(3)
@@ -37,7 +38,8 @@ def test_shifts_are_those_of_a_search(width: int, different: int) -> None:
     noise = (RNG.random((5, width)) < 0.4) * RNG.integers(0, different, (5, width))
     values = (np.stack([np.roll(row, 3 * k) for k in range(5)]) + noise).ravel()
     void = RNG.random(len(values)) < 0.2
-    assert find_shifts(values, void, width).tolist() == shifts_one_by_one(values, void, width)
+    role = np.full(len(values), OWN, np.uint8)
+    assert find_shifts(values, void, width, role).tolist() == shifts_one_by_one(values, void, width)
 
 
 @pytest.mark.parametrize("spread", [0, 3, 40_000, 1 << 62])
