@@ -57,6 +57,10 @@ def store(array: Array, at: int, vector: Lanes) -> None:
     array.reshape(-1)[at : at + len(vector)] = vector
 
 
+def prefetch(array: Array, at: int) -> None:
+    """Ask for what stands at flat index ``at``, which is needed soon; nothing comes of it but time."""
+
+
 def spread(value: Any, lanes: int) -> Lanes:
     """Return a scalar in every lane."""
     return np.full(lanes, value)
@@ -144,6 +148,11 @@ def whole(vector: Lanes) -> Lanes:
 def cast(vector: Lanes, like: type[np.number[Any]]) -> Lanes:
     """Return the lanes as numbers of another type; floats lose their fraction."""
     return vector.astype(like)
+
+
+def bits(vector: Lanes) -> Lanes:
+    """Return the bits of float32 lanes as int32."""
+    return vector.view(np.int32)
 
 
 def highest(vector: Lanes) -> Any:
@@ -267,6 +276,16 @@ def _store(builder: Any, kinds: Any, values: Any) -> Any:
     return ir.Constant(ir.IntType(8).as_pointer(), None)
 
 
+def _prefetch(builder: Any, kinds: Any, values: Any) -> Any:
+    byte = ir.IntType(8).as_pointer()
+    kind = ir.FunctionType(ir.VoidType(), [byte, _I32, _I32, _I32])
+    name = "llvm.prefetch.p0"
+    function = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
+    place = builder.bitcast(builder.gep(values[0], [values[1]]), byte)
+    builder.call(function, [place, ir.Constant(_I32, 0), ir.Constant(_I32, 3), ir.Constant(_I32, 1)])
+    return ir.Constant(byte, None)
+
+
 def _pairs(builder: Any, kinds: Any, values: Any) -> Any:
     both = builder.load(_vector_at(builder, values[0], values[1], _I32), align=2)
     return builder.bitcast(
@@ -379,9 +398,14 @@ def _cast(builder: Any, kinds: Any, values: Any) -> Any:
     return (builder.trunc if new.bitwidth < old.bitwidth else builder.sext)(values[0], wanted)
 
 
+def _bits(builder: Any, kinds: Any, values: Any) -> Any:
+    return builder.bitcast(values[0], ir.VectorType(_I32, kinds[0].lanes))
+
+
 _ARRAY, _WHOLE, _TYPE = types.Array, types.Integer, types.NumberClass
 _define(load, (_ARRAY, _WHOLE, _WHOLE), lambda a, at, n: Vector(a.dtype, n.literal_value), _load)
 _define(store, (_ARRAY, _WHOLE, Vector), lambda *_: types.none, _store)
+_define(prefetch, (_ARRAY, _WHOLE), lambda *_: types.none, _prefetch)
 _define(pairs, (_ARRAY, _WHOLE, _WHOLE), lambda a, at, n: Vector(a.dtype, n.literal_value), _pairs)
 _define(dot, (Vector, Vector), lambda a, b: Vector(types.int32, a.lanes // 2) if a == b else None, _dot)
 _define(cast, (Vector, _TYPE), lambda a, like: Vector(like.dtype, a.lanes), _cast)
@@ -419,6 +443,7 @@ _define(
 )
 for _of_one, _name in ((root, "sqrt"), (size, "fabs"), (whole, "floor")):
     _define(_of_one, (Vector,), lambda a: a, _of_floats(_name))
+_define(bits, (Vector,), lambda a: Vector(types.int32, a.lanes) if a.dtype == types.float32 else None, _bits)
 _define(highest, (Vector,), lambda a: a.dtype, _highest)
 _define(running, (Vector,), lambda a: a, _running)
 _define(count, (Vector,), lambda mask: types.int64, _count)

@@ -20,6 +20,8 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, sin_cos
 from salpcc.stages.predict.static.columns import LANES, WIDTH, Columns, F, cell, put, renew, take
 from salpcc.stages.predict.vectors import (
+    bits,
+    cast,
     choose,
     inline,
     kernel,
@@ -39,9 +41,9 @@ F32 = NDArray[np.float32]
 
 MAX_LEVEL = (1 << 20) - 1
 CONTEXTS = 220
-_FINEST = (127 - 3) << 2  # of 1/8 of a level, quarter octaves
-_SIDES = 5
-_ZERO, _HALF, _ONE, _SIXTEEN = F(0.0), F(0.5), F(1.0), F(16.0)
+_QUARTERS, _FINEST = np.int32(21), F((127 - 3) << 2)  # bits below quarter octaves; that of 1/8 of a level
+_SIDES = F(5.0)
+_ZERO, _HALF, _ONE, _TWO, _SIXTEEN = F(0.0), F(0.5), F(1.0), F(2.0), F(16.0)
 _FAR_GAP = F(12.0)  # ticks; returns further apart are not neighbours
 _PER_SURFACE = F(1.0 / 45.0)  # counts; a return so far off does not belong to the running means
 _OFFSET_RATE, _LEVEL_RATE, _SLOPE_RATE, _ERROR_RATE, _ACTIVITY_RATE = F(0.12), F(0.4), F(0.2), F(0.25), F(0.2)
@@ -66,11 +68,13 @@ BASE, OFFSET, LEVER, COSINE, PER_COSINE = range(5)
 # what has been learned along it, distances as 1/rho: errors of the predictors in counts, running; the prediction before's miss in counts,
 # and its running size; difference to the ring above, running, and whether there is one; running level and slope; of the return before;
 E0, E1, E2, MISS, ACTIVITY, DIFFERENCE, FOLLOWED, RUNNING, SLOPE, LAST = range(5, 15)
-# what its next return sees: whether there is one in this wave; ticks to its neighbours above and their 1/rho; their errors, their misses; ticks to the one before;
-ACTIVE, AFTER, BEFORE, LEFT, RIGHT, U0, U1, U2, UM, GAP = range(15, 25)
-# what is guessed: 1/rho by each predictor, of the ring above, of the line, by all; the context's two parts; the level, and the one that was found.
-P0, P1, P2, SEEN, AHEAD, GUESSED, EXPECTED, SIDE, LEVEL, FOUND, DENOISED = range(25, 36)
-COLUMNS = 36
+# what its next return sees: whether there is one in this wave, its tick; ticks to its neighbours above and their 1/rho; their errors, their misses;
+ACTIVE, TICK, AFTER, BEFORE, LEFT, RIGHT, U0, U1, U2, UM = range(15, 25)
+# what is guessed: 1/rho by each predictor, of the ring above, of the line, by all; the context; the level, and the one that was found.
+P0, P1, P2, SEEN, AHEAD, GUESSED, CONTEXT, LEVEL, FOUND, DENOISED = range(25, 35)
+# Tick and azimuth of the return before, and how many ticks before.
+WAS, AZIMUTH, GAP = range(35, 38)
+COLUMNS = 38
 
 
 @njit(cache=True)
@@ -113,7 +117,13 @@ def _row(r: int, i: int) -> np.uint64:
 
 
 @inline
-def see(r: int, tick: int, known: int, j: int, columns: Columns, rows: F32) -> int:
+def row_above(r: int, i: int) -> np.uint64:
+    """Return where the row of return ``i`` of the ring above ring ``r`` begins; some row, if there is no ring above."""
+    return _row(max(r - 1, 0), i)
+
+
+@inline
+def see(r: int, tick: np.float32, known: int, j: int, columns: Columns, rows: F32) -> int:
     """Fill the columns of what the next return of ring ``r`` sees of the ring above.
 
     Args:
@@ -130,7 +140,7 @@ def see(r: int, tick: int, known: int, j: int, columns: Columns, rows: F32) -> i
         return j
     above, last, oldest = r - 1, known - 1, max(known - DEPTH, 0)
     j = max(j, oldest - 1)
-    azimuth = (F(tick) + columns[cell(OFFSET, r)]) + columns[cell(LEVER, r)] * rows[
+    azimuth = (tick + columns[cell(OFFSET, r)]) + columns[cell(LEVER, r)] * rows[
         _row(above, max(j, oldest)) + _INVERSE
     ]
     while j < last and rows[_row(above, j + 1) + _AZIMUTH] <= azimuth:
@@ -150,7 +160,8 @@ def see(r: int, tick: int, known: int, j: int, columns: Columns, rows: F32) -> i
 @kernel
 def guess(columns: Columns, first: int, end: int, per_step: float) -> None:
     """Guess the next levels of rings ``first`` to before ``end``, by what :func:`see` found."""
-    one, zero, prior = spread(_ONE, LANES), spread(_ZERO, LANES), spread(_PRIOR, LANES)
+    one, zero = spread(_ONE, LANES), spread(_ZERO, LANES)
+    two, prior = spread(_TWO, LANES), spread(_PRIOR, LANES)
     for at in range(first, end, LANES):
         after, before = take(columns, AFTER, at), take(columns, BEFORE, at)
         left, right = after < _FAR_GAP, before < _FAR_GAP
@@ -161,8 +172,10 @@ def guess(columns: Columns, first: int, end: int, per_step: float) -> None:
         seen = choose(size(p - q) * _SIXTEEN < p + q, p + t * (q - p), nearest)
         clean = choose(left, seen, choose(right, seen, zero))
         put(columns, SEEN, at, clean)
-        last, gap = take(columns, LAST, at), take(columns, GAP, at)
+        last = take(columns, LAST, at)
         begun = last > _ZERO
+        gap = choose(begun, take(columns, TICK, at) - take(columns, WAS, at), two)
+        put(columns, GAP, at, gap)
         last = choose(begun, last, choose(clean > _ZERO, clean, prior))
         known = choose(take(columns, FOLLOWED, at) > _ZERO, clean + take(columns, DIFFERENCE, at), last)
         smooth = choose(clean > _ZERO, known, last)
@@ -204,8 +217,8 @@ def guess(columns: Columns, first: int, end: int, per_step: float) -> None:
             + choose(aside >= near, one, zero)
             + choose(aside >= wide, one, zero)
         )
-        put(columns, SIDE, at, side)
-        put(columns, EXPECTED, at, smaller(larger(expected * per_step, _LEAST), _MOST))
+        octave = cast(bits(smaller(larger(expected * per_step, _LEAST), _MOST)) >> _QUARTERS, F) - _FINEST
+        put(columns, CONTEXT, at, octave * _SIDES + side)
         level = smaller(larger((r - take(columns, BASE, at)) * per_step + _HALF, _ZERO), _TOP)
         put(columns, LEVEL, at, whole(level))
 
@@ -213,10 +226,7 @@ def guess(columns: Columns, first: int, end: int, per_step: float) -> None:
 @inline
 def context_of(columns: Columns, r: int) -> int:
     """Return the context of the level that is guessed of ring ``r``."""
-    fine = np.float32(columns[cell(EXPECTED, r)]).view(np.int32) >> 21
-    # A sensor with odd numbers may make anything of it, which must not lead out of the tables.
-    octave = min(max(int(fine) - _FINEST, 0), CONTEXTS // _SIDES - 1)
-    return octave * _SIDES + int(columns[cell(SIDE, r)])
+    return int(columns[cell(CONTEXT, r)])
 
 
 @kernel
@@ -240,6 +250,9 @@ def learn(columns: Columns, first: int, end: int, step: float) -> None:
         r = larger(found * step + take(columns, BASE, at), _ONE)
         rho = larger(r * take(columns, COSINE, at), _ONE)
         w = _ONE / rho
+        tick = take(columns, TICK, at)
+        put(columns, WAS, at, tick)
+        put(columns, AZIMUTH, at, (tick + take(columns, OFFSET, at)) + take(columns, LEVER, at) * w)
         for k in range(3):
             off = smaller(size(take(columns, P0 + k, at) * rho - _ONE) * r, _FARTHEST)
             put(columns, U0 + k, at, off)
@@ -269,11 +282,11 @@ def learn(columns: Columns, first: int, end: int, step: float) -> None:
 
 
 @inline
-def leave(r: int, i: int, tick: int, columns: Columns, rows: F32) -> None:
+def leave(r: int, i: int, columns: Columns, rows: F32) -> None:
     """Leave behind what the ring below may see of return ``i`` of ring ``r``."""
-    row, inverse = _row(r, i), columns[cell(LAST, r)]
-    rows[row + _INVERSE] = inverse
-    rows[row + _AZIMUTH] = (F(tick) + columns[cell(OFFSET, r)]) + columns[cell(LEVER, r)] * inverse
+    row = _row(r, i)
+    rows[row + _INVERSE] = columns[cell(LAST, r)]
+    rows[row + _AZIMUTH] = columns[cell(AZIMUTH, r)]
     rows[row + _CLEAN] = columns[cell(DENOISED, r)]
     missed = abs(columns[cell(MISS, r)])
     errors = of(columns[cell(U0, r)], columns[cell(U1, r)], columns[cell(U2, r)], missed)

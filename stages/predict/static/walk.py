@@ -17,7 +17,7 @@ from salpcc.stages.predict.static.columns import LANES, Columns, F, cell
 from salpcc.stages.predict.static.intensities import PAD
 from salpcc.stages.predict.static.symbols import Starts
 from salpcc.stages.predict.static.tokens import get
-from salpcc.stages.predict.vectors import inline, kernel
+from salpcc.stages.predict.vectors import inline, kernel, prefetch
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -25,7 +25,7 @@ I64 = NDArray[np.int64]
 Ints = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
-_AT, _SEEN, _ABOVE, _ABOVE2 = 0, 1, 2, 3
+_SOON = 6  # rings from now on
 
 
 class Values(NamedTuple):
@@ -49,36 +49,41 @@ class Rings(NamedTuple):
     """The R rings that have returns, and how far the walk has come.
 
     Attributes:
-        first: their first returns, ``(R,)``.
-        reached: ``(R, 4)``, the next return; what :func:`.levels.see` gave; the returns of the two rings above at its tick.
+        first, next: their first and their next returns, ``(R,)``.
+        seen: what :func:`.levels.see` gave.
+        above, above2: the last returns of the two rings above that are not after what was seen last.
         rows: see :func:`.levels.no_rows`.
     """
 
     first: I64
-    reached: I64
+    next: I64
+    seen: I64
+    above: I64
+    above2: I64
     rows: F32
 
 
 @njit(cache=True)
 def _before_all(first: I64) -> Rings:
-    reached = np.empty((len(first), 4), np.int64)
-    for r in range(len(first)):
-        reached[r] = first[r], -1, first[max(r - 1, 0)] - 1, first[max(r - 2, 0)] - 1
-    return Rings(first, reached, levels.no_rows(len(first)))
+    rings = np.arange(len(first))
+    above, above2 = first[np.maximum(rings - 1, 0)] - 1, first[np.maximum(rings - 2, 0)] - 1
+    return Rings(first, first.copy(), np.full(len(first), -1), above, above2, levels.no_rows(len(first)))
 
 
 @inline
 def _see_levels(rings: Rings, wave: Bytes, tick: Ints, of_levels: Columns) -> None:
-    for ring in wave:
-        r = np.int64(ring)
+    for k in range(len(wave)):
+        r, soon = np.int64(wave[np.uint64(k)]), np.uint64(wave[np.uint64(min(k + _SOON, len(wave) - 1))])
+        # More than the first cache holds is gone through from wave to wave.
+        prefetch(tick, rings.next[soon])
+        prefetch(rings.rows, levels.row_above(np.int64(soon), rings.seen[soon] + 1))
         u = np.uint64(r)
-        at = rings.reached[u, _AT]
+        at = rings.next[u]
         of_levels[cell(levels.ACTIVE, r)] = F(1.0)
-        now = np.int64(tick[np.uint64(at)])
-        of_levels[cell(levels.GAP, r)] = F(now - tick[np.uint64(at - 1)]) if at > rings.first[u] else F(2.0)
+        of_levels[cell(levels.TICK, r)] = now = F(tick[np.uint64(at)])
         v = np.uint64(r - 1)
-        known = rings.reached[v, _AT] - rings.first[v] if r > 0 else 0
-        rings.reached[u, _SEEN] = levels.see(r, now, known, rings.reached[u, _SEEN], of_levels, rings.rows)
+        known = rings.next[v] - rings.first[v] if r > 0 else 0
+        rings.seen[u] = levels.see(r, now, known, rings.seen[u], of_levels, rings.rows)
 
 
 @inline
@@ -87,12 +92,12 @@ def _see_values(rings: Rings, wave: Bytes, tick: Ints, of_values: Columns, level
         r = np.int64(ring)
         u = np.uint64(r)
         v, w = np.uint64(r - 1 if r > 0 else 0), np.uint64(r - 2 if r > 1 else 0)
-        now = tick[np.uint64(rings.reached[u, _AT])]
-        end = rings.reached[v, _AT] if r > 0 else 0
-        end2 = rings.reached[w, _AT] if r > 1 else 0
-        j = intensities.follow(rings.reached[u, _ABOVE], end, tick, now)
-        j2 = intensities.follow(rings.reached[u, _ABOVE2], end2, tick, now)
-        rings.reached[u, _ABOVE], rings.reached[u, _ABOVE2] = j, j2
+        now = tick[np.uint64(rings.next[u])]
+        end = rings.next[v] if r > 0 else 0
+        end2 = rings.next[w] if r > 1 else 0
+        j = intensities.follow(rings.above[u], end, tick, now)
+        j2 = intensities.follow(rings.above2[u], end2, tick, now)
+        rings.above[u], rings.above2[u] = j, j2
         intensities.weigh(r, of_values, j, rings.first[v], end, j2, rings.first[w], end2, level, value)
 
 
@@ -101,7 +106,7 @@ def _code_levels(decoding, rings, wave, of_levels, level, x):  # type: ignore[no
     x, other, position = x
     for ring in wave:
         r = np.int64(ring)
-        i = rings.reached[np.uint64(r), _AT]
+        i = rings.next[np.uint64(r)]
         at = np.uint64(i + PAD)
         context, guessed = levels.context_of(of_levels, r), np.int64(of_levels[cell(levels.LEVEL, r)])
         if decoding:
@@ -120,7 +125,7 @@ def _code_values(decoding, rings, wave, of_values, value, x):  # type: ignore[no
     x, other, position = x
     for ring in wave:
         r = np.int64(ring)
-        i = rings.reached[np.uint64(r), _AT]
+        i = rings.next[np.uint64(r)]
         at = np.uint64(i + PAD)
         context = intensities.context_of(of_values, r)
         if decoding:
@@ -134,13 +139,13 @@ def _code_values(decoding, rings, wave, of_values, value, x):  # type: ignore[no
 
 
 @inline
-def _advance(rings: Rings, wave: Bytes, tick: Ints, of_levels: Columns) -> None:
+def _advance(rings: Rings, wave: Bytes, of_levels: Columns) -> None:
     for ring in wave:
         r = np.int64(ring)
         u = np.uint64(r)
-        at = rings.reached[u, _AT]
-        levels.leave(r, at - rings.first[u], tick[np.uint64(at)], of_levels, rings.rows)
-        rings.reached[u, _AT] = at + 1
+        at = rings.next[u]
+        levels.leave(r, at - rings.first[u], of_levels, rings.rows)
+        rings.next[u] = at + 1
         of_levels[cell(levels.ACTIVE, r)] = F(0.0)
 
 
@@ -160,7 +165,7 @@ def _walk(decoding, rings, order, ends, tick, step, of_levels, of_values, level,
             intensities.guess(of_values, lowest, beyond)
             y = _code_values(decoding, rings, wave, of_values, value, y)
             intensities.learn(of_values, of_levels, lowest, beyond)
-        _advance(rings, wave, tick, of_levels)
+        _advance(rings, wave, of_levels)
         done = end
     return x, y
 

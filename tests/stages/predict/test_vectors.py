@@ -9,6 +9,7 @@ from numba import njit
 
 from salpcc.stages.predict import vectors
 from salpcc.stages.predict.vectors import (
+    bits,
     cast,
     choose,
     count,
@@ -21,6 +22,7 @@ from salpcc.stages.predict.vectors import (
     of,
     pairs,
     pick,
+    prefetch,
     push,
     root,
     running,
@@ -97,6 +99,8 @@ def numbers(a: Any, b: Any, out: Any) -> None:
     store(out, 16, cast(cast(x, np.float32) * HALF, np.int32))
     store(out, 32, cast(cast(x, np.int16), np.int32))
     store(out, 48, cast(cast(x, np.float64), np.int32))
+    store(out, 64, bits(load(a, 0, 16)))
+    prefetch(a, 3)
 
 
 def reals(rng: np.random.Generator) -> Any:
@@ -118,7 +122,7 @@ def small(rng: np.random.Generator) -> Any:
         (order, reals, np.zeros(49, np.float32)),
         (integers, wide, np.zeros(98, np.int32)),
         (products, small, np.zeros(32, np.int32)),
-        (numbers, reals, np.zeros(64, np.int32)),
+        (numbers, reals, np.zeros(80, np.int32)),
     ],
 )
 def test_compiled_lanes_equal_numpy(
