@@ -24,23 +24,26 @@ def waves(starts: NDArray[np.int64], tick: NDArray[np.int32]) -> tuple[NDArray[n
     first = starts[np.flatnonzero(np.diff(starts))]
     rings, m = len(first), len(tick)
     order, ends = np.empty(m + 1, np.uint8), np.empty(m, np.int32)
-    upcoming = np.full(
-        rings + 1, 2 * _NEVER, np.int64
-    )  # the next tick, of the ring above each, and of the last ring
-    for r in range(rings):
-        upcoming[r + 1] = tick[first[r]]
-    at = np.append(first, m)
-    until = np.append(first[1:], m)
+    following = np.full(m, _NEVER, np.int32)  # the tick of the next return of the ring
+    following[:-1] = tick[1:]
+    following[first[1:] - 1] = _NEVER
+    # The next tick, of the ring above each, and of the last ring.
+    upcoming = np.full(rings + 1, 2 * _NEVER, np.int64)
+    upcoming[1:] = tick[first]
+    at = first.copy()
     lowest = done = n = 0
     while done < m:
         begin = done
+        above = upcoming[lowest]
         for r in range(lowest, rings):
-            order[done] = r
-            done += int(upcoming[r + 1] + LAG <= upcoming[r])
+            own = upcoming[np.uint64(r + 1)]
+            order[np.uint64(done)] = r
+            done += int(own + LAG <= above)
+            above = own
         for k in range(begin, done):
-            ring = np.int64(order[k])
+            ring = np.uint64(order[np.uint64(k)])
+            upcoming[ring + np.uint64(1)] = following[np.uint64(at[ring])]
             at[ring] += 1
-            upcoming[ring + 1] = tick[at[ring]] if at[ring] < until[ring] else _NEVER
         while lowest < rings and upcoming[lowest + 1] == _NEVER:
             lowest += 1
         ends[n] = done
