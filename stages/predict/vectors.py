@@ -340,10 +340,8 @@ def _push(builder: Any, kinds: Any, values: Any) -> Any:
 
 def _totals(builder: Any, kinds: Any, values: Any) -> Any:
     lanes, none = kinds[1].lanes, ir.Constant(values[0].type, ir.Undefined)
-    left, apart = (
-        list(values),
-        lanes,
-    )  # so many lanes are yet to be added to one; what is left of two vectors finds room in one
+    # So many lanes are yet to be added to one; what is left of two vectors finds room in one.
+    left, apart = list(values), lanes
     while apart > 1:
         apart //= 2
         lower = [n for n in range(2 * lanes) if n // apart % 2 == 0]

@@ -106,13 +106,10 @@ def _code(writing, state, data, values, void, role, width, shifts, bits):  # typ
         steps = 0
 
 
-def encode_columns(
-    values: I64, void: Flags, width: int, shifts: I64, to_beat: int, role: U8 | None = None
-) -> bytes | None:
+def encode_columns(values: I64, void: Flags, width: int, shifts: I64, to_beat: int, role: U8) -> bytes | None:
     """Encode values ``(N,)``, those that are OWN by ``role``; None where they differ too much, or take more than the bytes ``to_beat``."""
     out = room_for(12 * len(values) + 4096, to_beat)
     state = start_encoder()
-    role = np.full(len(void), OWN, np.uint8) if role is None else role
     _code(True, state, out, values, void, role, width, shifts, _models())
     return within(out, int(finish_encoder(state, out)), to_beat)
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.strays.aimed.aimed_layers import GIVEN, GONE, OWN
+from salpcc.stages.strays.aimed.aimed_layers import GONE, OWN, scattered
 
 _FAR = 200.0  # metres
 
@@ -47,11 +47,7 @@ class Grid(NamedTuple):
 
     def spread(self, values: NDArray[Any], given: NDArray[Any] | None = None) -> NDArray[Any]:
         """Return the values ``(W,)`` of all places: those of the layer ``(N,)``, those that are given ``(T,)``, else 0."""
-        whole = np.zeros(len(self.role), values.dtype)
-        whole[self.role == OWN] = values
-        if given is not None:
-            whole[self.role == GIVEN] = given
-        return whole
+        return scattered(self.role, values, given)
 
     def own(self, whole: NDArray[Any]) -> NDArray[Any]:
         """Return those of the layer ``(N,)``; inverse of :meth:`spread`."""

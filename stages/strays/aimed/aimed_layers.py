@@ -11,7 +11,7 @@ come, and the points after them are told from them as from any other. Which plac
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numba import njit
@@ -28,8 +28,19 @@ _FITS = 6
 _NEXT = _FITS * 4 * 16  # contexts of what comes next
 _NEAR = 3**6  # and of what is gone
 
+_T = TypeVar("_T", bound=np.generic)
+
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
+
+
+def scattered(role: U8, own: NDArray[_T], given: NDArray[_T] | None = None) -> NDArray[_T]:
+    """Return what all places of a list have ``(N, …)``: those that are OWN and GIVEN theirs, in order, others 0."""
+    whole = np.zeros((len(role), *own.shape[1:]), own.dtype)
+    whole[role == OWN] = own
+    if given is not None:
+        whole[role == GIVEN] = given
+    return whole
 
 
 class Among(NamedTuple):
@@ -82,9 +93,7 @@ class Among(NamedTuple):
 
     def merged(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return all points ``(N, 3)`` of the list, from those of the layer; zeros for those that are gone."""
-        whole = np.zeros((len(self.role), 3), np.float32)
-        whole[self.role == OWN], whole[self.role == GIVEN] = points, self.given
-        return whole
+        return scattered(self.role, points, self.given)
 
     def first(self, n: int) -> Among:
         """Return it for the first points of the list."""

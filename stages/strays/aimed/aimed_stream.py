@@ -129,7 +129,7 @@ def settle(
     """
     eased = replace(aimed.some(slice(None)), points=points.copy())
     scratch = np.empty(64 * len(points) + 4096, np.uint8)
-    part = None if among is None else _layer(among, aimed)
+    part = None if among is None else _layer(among, aimed.some(among.role == GIVEN))
     _code(True, eased.points, eased, sensor, way, max_error - _ROUNDING, start_encoder(), scratch, part)
     if among is not None:
         eased = replace(eased, kinds=np.where(among.role == OWN, eased.kinds, aimed.kinds))
@@ -174,7 +174,7 @@ def write_aimed(
     told = points.copy()
     walked, part = aimed, None
     if among is not None:
-        walked, part = aimed.some(slice(None)), _layer(among, aimed)
+        walked, part = aimed.some(slice(None)), _layer(among, aimed.some(among.role == GIVEN))
     _code(True, told, walked, sensor, way, 0.0, state, out, part)
     on = aimed.kinds != OFF
     if (told.view(np.int32)[on] != points.view(np.int32)[on]).any():
@@ -205,11 +205,8 @@ def read_aimed(
     return empty, bool(state[3] == 0)
 
 
-def _layer(among: Among, aimed: Aimed) -> Layer:
-    """Return what a walk takes along of a layer; ``aimed``: its list, or what is given of it."""
-    known = aimed
-    if len(aimed.kinds) == len(among.role):
-        known = aimed.some(among.role == GIVEN)
+def _layer(among: Among, known: Aimed) -> Layer:
+    """Return what a walk takes along of a layer; ``known``: where the points that are GIVEN lie."""
     return layer(among, known.kinds, known.laser, known.tick, known.level)
 
 

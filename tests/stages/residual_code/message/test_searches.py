@@ -55,7 +55,9 @@ def test_what_takes_more_bytes_than_another_is_none() -> None:
     assert around is not None
     for encode in (
         lambda to_beat: encode_symbols(values, void, 1, to_beat),
-        lambda to_beat: encode_columns(values, void, 30, np.zeros(100, np.int64), to_beat),
+        lambda to_beat: encode_columns(
+            values, void, 30, np.zeros(100, np.int64), to_beat, np.full(3000, OWN, np.uint8)
+        ),
         lambda to_beat: encode_blended(values, around, None, to_beat),
     ):
         whole = encode(1 << 60)
