@@ -44,7 +44,7 @@ def link(i: int, k: int, links: NDArray[np.int64], ends: NDArray[np.int64]) -> N
 @njit(cache=True, error_model="numpy", _nrt=False)
 def around(here: float, last: int, ticks: int, azimuth: NDArray[np.float64], links: NDArray[np.int64]):  # type: ignore[no-untyped-def]
     """Of the points of a laser, whose rings are in the order of azimuths, find the one nearest to ``here``, and the way (0, 1) from it on which a new one there goes."""
-    at, off = _nearest_from(here, last, ticks, azimuth, links)
+    at, off = nearest_from(here, last, ticks, azimuth, links)
     for way in (1, 0):
         beyond = _apart(here, azimuth[links[at, way]], ticks)
         if off * beyond < 0.0 and abs(beyond) < _NEAR * ticks:
@@ -84,7 +84,7 @@ def _apart(a: float, b: float, ticks: int) -> float:
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def _nearest_from(here, at, ticks, azimuth, links):  # type: ignore[no-untyped-def]
+def nearest_from(here, at, ticks, azimuth, links):  # type: ignore[no-untyped-def]
     """Go along a ring from the point ``at`` both ways while that is nearer to azimuth ``here``; return the point, and how far off it is."""
     off = _apart(here, azimuth[at], ticks)
     for way in (1, 0):
@@ -116,7 +116,7 @@ def nearest_of(here, other, cursor, k, side, ticks, azimuth, links, ends):  # ty
         first, last = ends[other, 0], ends[other, 1]
         near = abs(_apart(here, azimuth[first], ticks)) < abs(_apart(here, azimuth[last], ticks))
         at = first if near else last
-    at, off = _nearest_from(here, at, ticks, azimuth, links)
+    at, off = nearest_from(here, at, ticks, azimuth, links)
     cursor[k, side] = at
     return at, off
 

@@ -31,6 +31,7 @@ from salpcc.stages.strays.aimed.aimed_neighbours import (
     SAME,
     SECOND,
     mean_error,
+    nearest_from,
     nearest_of,
     weight_of,
 )
@@ -246,7 +247,15 @@ def code_count(  # type: ignore[no-untyped-def]
         at, off = nearest_of(
             azimuth[i], k, seen.cursor, k, w, ticks, before.azimuth, before.links, before.ends
         )
-        if abs(off) < (_NEAR if w == 0 else _NEAR_MOVED) * ticks:
+        near = (_NEAR if w == 0 else _NEAR_MOVED) * ticks
+        if w == 0 and at == before.ends[k, 1] and not abs(off) < near:
+            # A sweep of more than a turn: its end is no neighbour of its beginning, and goes on beyond it.
+            first = before.ends[k, 0]
+            other, nearer = nearest_from(azimuth[i], first, ticks, before.azimuth, before.links)
+            if abs(nearer) < abs(off):
+                at, off = other, nearer
+                seen.cursor[k, w] = at
+        if abs(off) < near:
             while n < _OWN + w * _BEFORE:  # every guess has its place, and a trust of its own
                 guesses.mean[n], guesses.per[n], guesses.weight[n] = together, 1.0, 0.0
                 n += 1

@@ -77,6 +77,25 @@ def test_rows_of_an_organised_cloud(fan: SensorModel) -> None:
     assert len(learned[1]) < len(plain[1])
 
 
+def round_about(fan: SensorModel, seed: int, begin: int, firings: int) -> Points:
+    """A room from the tick ``begin`` on, 360 firings in a turn."""
+    rng = np.random.default_rng(seed)
+    laser, firing = np.tile(np.arange(LASERS), firings), np.repeat(np.arange(firings), LASERS)
+    tick = (begin + firing * 100) % fan.ticks_per_turn
+    wall = 9.0 + 4.0 * np.sin(tick * (20 * np.pi / fan.ticks_per_turn)) + 0.1 * laser
+    count = np.rint((wall + rng.normal(0, 0.008, len(laser))) / fan.count)
+    points = unproject(fan, laser.astype(np.uint8), tick.astype(np.int32), count)
+    return np.ascontiguousarray(points.astype(np.float32))
+
+
+def test_after_a_sweep_of_more_than_a_turn(fan: SensorModel) -> None:
+    """A scan that begins where the one before has been twice learns from all of it."""
+    now = round_about(fan, 1, 600, 350)
+    after_a_turn = written([round_about(fan, 0, 0, 360), now], fan, 0.0, True)[1]
+    after_more = written([round_about(fan, 0, 0, 370), now], fan, 0.0, True)[1]
+    assert len(after_more) < 1.02 * len(after_a_turn)
+
+
 def form_of(data: bytes) -> int:
     """The byte in which a stream says what its lists go on from."""
     return data[13 + int.from_bytes(data[:4], "little")]
