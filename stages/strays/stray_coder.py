@@ -23,7 +23,7 @@ from salpcc.stages.entropy.integers import decode_integers, encode_integers, int
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
-from salpcc.stages.strays.aimed.aimed_layers import OWN, Among
+from salpcc.stages.strays.aimed.aimed_layers import GIVEN, OWN, Among
 from salpcc.stages.strays.aimed.aimed_strays import (
     Motion,
     choose,
@@ -43,10 +43,10 @@ from salpcc.stages.strays.rays.ray_coder import F32, Layout
 from salpcc.stages.strays.rays.ray_forms import ALONG, BITS, GRID, HALVES
 from salpcc.stages.strays.rays.ray_stream import move_points, read_points, write_points
 from salpcc.stages.strays.timed.fit_turning import Fitted
-from salpcc.stages.strays.timed.timed_strays import ray_number_of, read_timed, write_timed
+from salpcc.stages.strays.timed.timed_strays import Known, ray_number_of, read_timed, write_timed
 from salpcc.stages.strays.timeline import Timeline
 
-AIMED, TIMED, MOVED, AMONG, PLACED = 3, 5, 6, 7, 8  # the forms after those of rays
+AIMED, TIMED, MOVED, AMONG, PLACED, TIMED_AMONG = 3, 5, 6, 7, 8, 9  # the forms after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
@@ -153,7 +153,7 @@ def plan(
         learned: of such points before, for efforts above ``fast``.
         among: where they stand in a list of two layers.
     """
-    lanes = lanes if len(points) >= _FEWEST else None
+    all_lanes, lanes = lanes, lanes if len(points) >= _FEWEST else None
     points = np.ascontiguousarray(points)
     form, per, step = _form(points, max_error)
     fix = BITS if form == HALVES else form
@@ -181,11 +181,42 @@ def plan(
         return found
     layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes, like)
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
+    timed = None
+    if exact and all_lanes is not None and among is not None and beside:
+        timed = _timed_among(points, all_lanes, among, form, per, turning, learned)
+        if timed is not None and rays.take_more_than(len(timed[0])):
+            return replace(rays, coded=(TIMED_AMONG, *timed[:2]), turning=timed[2])
     if exact and lanes is not None and times is not None:
         timed = write_timed(points, lanes, times, form, per, turning, learned)
         if timed is not None and rays.take_more_than(len(timed[0])):
             return replace(rays, coded=(TIMED, *timed[:2]), turning=timed[2])
     return min(aimed, rays, key=_size) if aimed else rays
+
+
+def _timed_among(
+    points: F32,
+    lanes: NDArray[np.uint8],
+    among: Among,
+    form: int,
+    per: int,
+    turning: Fitted | None,
+    learned: Learned | None,
+) -> tuple[bytes, Timeline, Fitted] | None:
+    """Encode points ``(S, 3)`` on the rays of both layers; None where there are none."""
+    told = among.timed() if among.timed is not None else None
+    if told is None:
+        return None
+    given = among.role == GIVEN
+    laser, time = np.empty(len(given), np.uint8), np.empty(len(given), np.int64)
+    laser[given], time[given], time[~given] = told
+    laser[~given] = lanes
+    found = write_timed(among.merged(points), laser, time, form, per, turning, learned, given)
+    return found and (found[0], _own_line(found[1], ~given), found[2])
+
+
+def _own_line(line: Timeline, own: NDArray[np.bool_]) -> Timeline:
+    """Return what is known of the points of a layer; where they were in the list before, its fields do not know."""
+    return Timeline(line.laser[own], line.time[own], line.groups)
 
 
 def _moved_in_time(
@@ -307,12 +338,13 @@ def decode_strays(
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     body = np.ascontiguousarray(data[begin:])
-    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists, among)
+    rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
+    places = np.cumsum(rows[:, 0] + 1) - 1
+    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists, among, places)
     found = row.read(given) if row else _Read(*read_points(n, (left, up), form, per, step, body))
     if found.places is not None:
         return found.places, found.points, found.told, found.sound
-    rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
-    return np.cumsum(rows[:, 0] + 1) - 1, found.points, found.told, bool(sound and found.sound)
+    return places, found.points, found.told, bool(sound and found.sound)
 
 
 class _Given(NamedTuple):
@@ -327,6 +359,7 @@ class _Given(NamedTuple):
     motion: Motion
     lists: LearnedLists | None
     among: Among | None
+    places: NDArray[np.int64]
 
     def rest(self, n: int, data: NDArray[np.uint8]) -> tuple[F32, bool]:
         """Read the ``n`` points off the lattice."""
@@ -343,7 +376,7 @@ class _Read(NamedTuple):
 
 
 def _read_aimed(given: _Given) -> _Read:
-    n, layout, per, max_error, data, sensor, motion, lists, _ = given
+    n, layout, per, max_error, data, sensor, motion, lists, _, _ = given
     assert sensor is not None
     exact = ray_step(max_error) == 0.0
     points, _, sound = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
@@ -351,7 +384,7 @@ def _read_aimed(given: _Given) -> _Read:
 
 
 def _read_among(given: _Given, placed: bool = False) -> _Read:
-    n, layout, per, max_error, data, sensor, _, lists, among = given
+    n, layout, per, max_error, data, sensor, _, lists, among, _ = given
     assert sensor is not None
     if among is None or (among.width > 0) != placed:
         return _Read(np.zeros((n, 3), np.float32), False)
@@ -366,7 +399,7 @@ def _read_among(given: _Given, placed: bool = False) -> _Read:
 
 
 def _read_moved(given: _Given) -> _Read:
-    n, layout, per, _, data, sensor, _, lists, _ = given
+    n, layout, per, _, data, sensor, _, lists, _, _ = given
     assert sensor is not None
     points, told, sound = read_moved(n, layout, per, data, sensor, given.rest, lists)
     return _Read(points, sound, told)
@@ -375,6 +408,20 @@ def _read_moved(given: _Given) -> _Read:
 def _read_timed(given: _Given) -> _Read:
     points, told, sound = read_timed(given.n, given.per, given.data, given.lists)
     return _Read(points, sound, told)
+
+
+def _read_timed_among(given: _Given) -> _Read:
+    among, places = given.among, given.places
+    told = among.timed() if among is not None and among.timed is not None and among.width == 0 else None
+    if among is None or told is None:
+        return _Read(np.zeros((given.n, 3), np.float32), False)
+    own = np.zeros(len(among.role), np.bool_)
+    own[places[(places >= 0) & (places < len(own))]] = True
+    if np.count_nonzero(own) != given.n:
+        return _Read(np.zeros((given.n, 3), np.float32), False)
+    known = Known(~own, among.given, *told[:2])
+    points, line, sound = read_timed(len(own), given.per, given.data, given.lists, known)
+    return _Read(np.ascontiguousarray(points[own]), sound, _own_line(line, own))
 
 
 class _Form(NamedTuple):
@@ -399,6 +446,7 @@ _FORMS = {
     AMONG: _Form(_read_among, number_of, lambda _, body: count_off(body), True, False),
     PLACED: _Form(partial(_read_among, placed=True), number_of, lambda _, body: count_off(body), True, False),
     TIMED: _Form(_read_timed, ray_number_of, lambda n, _: n, False, True),
+    TIMED_AMONG: _Form(_read_timed_among, ray_number_of, lambda n, _: n, False, True),
     MOVED: _Form(
         _read_moved,
         lambda body: number_of(body_of(body)),

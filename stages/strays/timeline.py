@@ -34,6 +34,7 @@ _HEAD = struct.Struct("<BBq")
 
 I64 = NDArray[np.int64]
 Lasers = NDArray[np.uint8]
+Given = NDArray[np.bool_] | None
 
 
 class Passed(NamedTuple):
@@ -82,8 +83,8 @@ def _skips(due: NDArray[np.int64], seen: int, laser: int) -> int:
 
 
 @njit(cache=True)
-def _code(writing, laser, time, group, cycle, models, state, data):  # type: ignore[no-untyped-def]
-    """Write or read lasers and times ``(N,)``; ``cycle``: of each group."""
+def _code(writing, laser, time, given, group, cycle, models, state, data):  # type: ignore[no-untyped-def]
+    """Write or read lasers and times ``(N,)``, but those that are ``given (N,)``; ``cycle``: of each group."""
     of_way, of_laser, of_seen, of_own, of_off = models
     due = np.full(LASERS, _NEVER)
     asked = np.full(LASERS, -1)  # the last point before which a laser was asked for and did not come
@@ -96,29 +97,34 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
     for i in range(n):
         k = np.int64(laser[i])
         way = np.int64(0)
-        if writing:
+        told = not given[i]
+        if writing or not told:
             way = np.int64(
                 due[k] == _NEVER
                 or _skips(due, seen, k) > _MOST_SKIPPED
                 or abs(time[i] - due[k]) > cycle[group[k]] // 2
             )
-        way = code_mixed_bit(writing, state, data, of_way, odd, of_way, odd, way)
+        if told:
+            way = code_mixed_bit(writing, state, data, of_way, odd, of_way, odd, way)
         odd = (odd << 1 | way) & 255
         if way == 1:
-            node = 1
-            for shift in range(7, -1, -1):
-                at = before * 256 + node
-                node = node << 1 | code_mixed_bit(
-                    writing, state, data, of_laser, at, of_laser, at, (k >> shift) & 1
-                )
-            k = np.int64(node & 255)
+            if told:
+                node = 1
+                for shift in range(7, -1, -1):
+                    at = before * 256 + node
+                    node = node << 1 | code_mixed_bit(
+                        writing, state, data, of_laser, at, of_laser, at, (k >> shift) & 1
+                    )
+                k = np.int64(node & 255)
             off = time[i] - now
-            if writing and abs(off) >= _LARGEST:
+            if (writing or not told) and abs(off) >= _LARGEST:
                 state[3] = 1
                 return
-            now += code_number(
-                writing, state, data, of_off, 2 * (_STEADY + 1), of_off, 2 * (_STEADY + 1), off
-            )
+            if told:
+                off = code_number(
+                    writing, state, data, of_off, 2 * (_STEADY + 1), of_off, 2 * (_STEADY + 1), off
+                )
+            now += off
             g = group[k]
             for other in range(seen):  # those of its group that were due long ago
                 if due[other] != _NEVER and group[other] == g and due[other] < now - cycle[g] // 2:
@@ -134,7 +140,10 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
                 tied = 0 if due[found] != now else (1 if asked[found] == i - 1 else 2)
                 at = ((missed[found] & 7) * 3 + tied) * 2 + np.int64(n_skipped > 0)
                 own = found * 8 + (missed[found] & 1) * 4 + tied
-                if code_mixed_bit(writing, state, data, of_seen, at, of_own, own, np.int64(found != k)) == 0:
+                other_one = np.int64(found != k)
+                if told:
+                    other_one = code_mixed_bit(writing, state, data, of_seen, at, of_own, own, other_one)
+                if other_one == 0:
                     break
                 asked[found] = i
                 skipped[n_skipped] = found
@@ -142,10 +151,10 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
                 total += 1
             k = np.int64(found)
             g = group[k]
-            told = np.int64(min(steady[g], np.int64(_STEADY)))
-            off = code_number(
-                writing, state, data, of_off, told, of_off, _STEADY + 1 + told, time[i] - due[k]
-            )
+            off = time[i] - due[k]
+            if told:
+                at = np.int64(min(steady[g], np.int64(_STEADY)))
+                off = code_number(writing, state, data, of_off, at, of_off, _STEADY + 1 + at, off)
             now = due[k] + off
             for j in range(n_skipped):
                 other = skipped[j]
@@ -171,14 +180,19 @@ def _code(writing, laser, time, group, cycle, models, state, data):  # type: ign
         before = k
 
 
-def find_timelines(laser: Lasers, time: I64) -> list[tuple[Timeline, bytes]]:
-    """Return the timelines that points of lasers ``(N,)`` at times ``(N,)`` may have, with their streams, the shortest first, those nearly as short after it; none where times say nothing of lasers."""
+def find_timelines(laser: Lasers, time: I64, given: Given = None) -> list[tuple[Timeline, bytes]]:
+    """Return the timelines that points of lasers ``(N,)`` at times ``(N,)`` may have, with their streams, the shortest first, those nearly as short after it; none where times say nothing of lasers.
+
+    Args:
+        given: which ``(N,)`` a reader has; None: none.
+    """
     found: list[tuple[Timeline, bytes]] = []
     for size in _SIZES:
         if size and laser.max(initial=0) < size:
             continue
         line = Timeline(laser, time, size)
-        coded = encode_timeline(line, int(_NEARLY * min((len(told) for _, told in found), default=ENDLESS)))
+        to_beat = int(_NEARLY * min((len(told) for _, told in found), default=ENDLESS))
+        coded = encode_timeline(line, to_beat, given)
         if coded is not None:
             found.append((line, coded))
     found.sort(key=lambda one: len(one[1]))
@@ -200,23 +214,29 @@ def _cycles(line: Timeline) -> I64 | None:
     return cycles
 
 
-def encode_timeline(line: Timeline, to_beat: int = ENDLESS) -> bytes | None:
-    """Encode lasers and times; None where times do not go round, or take many more than the bytes ``to_beat``."""
+def encode_timeline(line: Timeline, to_beat: int = ENDLESS, given: Given = None) -> bytes | None:
+    """Encode lasers and times, but those that are ``given (N,)``; None where times do not go round, or take many more than the bytes ``to_beat``."""
     cycles = _cycles(line) if len(line.laser) else None
     if cycles is None:
         return None
     origin = int(line.time[0])
     out = room_for(32 * len(line.laser) + 4096, to_beat)
     state = start_encoder()
-    _code(True, line.laser, line.time - origin, line.group, cycles, _models(), state, out)
+    known = np.zeros(len(line.laser), np.bool_) if given is None else given
+    _code(True, line.laser, line.time - origin, known, line.group, cycles, _models(), state, out)
     written = int(finish_encoder(state, out)) if state[3] == 0 else -1
     head = _HEAD.pack(line.groups, len(cycles), origin) + cycles.astype("<u4").tobytes()
     return head + out[:written].tobytes() if written >= 0 else None
 
 
-def decode_timeline(n: int, data: bytes) -> tuple[Timeline, bool]:
-    """Inverse of :func:`encode_timeline`: ``n`` points, and whether the data made sense."""
-    line = Timeline(np.zeros(n, np.uint8), np.zeros(n, np.int64), 0)
+def decode_timeline(
+    n: int, data: bytes, given: tuple[NDArray[np.bool_], Lasers, I64] | None = None
+) -> tuple[Timeline, bool]:
+    """Inverse of :func:`encode_timeline`: ``n`` points, and whether the data made sense; ``given``: which ``(n,)`` are known, their lasers and times."""
+    line, known = Timeline(np.zeros(n, np.uint8), np.zeros(n, np.int64), 0), np.zeros(n, np.bool_)
+    if given is not None:
+        known = given[0]
+        line.laser[known], line.time[known] = given[1:]
     if len(data) < _HEAD.size:
         return line, False
     groups, n_cycles, origin = _HEAD.unpack_from(data)
@@ -228,7 +248,8 @@ def decode_timeline(n: int, data: bytes) -> tuple[Timeline, bool]:
     cycles[:n_cycles] = np.frombuffer(data, "<u4", n_cycles, _HEAD.size)
     raw = np.frombuffer(bytearray(data[begin:]), np.uint8)
     state = start_decoder(raw)
-    _code(False, line.laser, line.time, line.group, np.maximum(cycles, 1), _models(), state, raw)
+    line.time[known] -= origin
+    _code(False, line.laser, line.time, known, line.group, np.maximum(cycles, 1), _models(), state, raw)
     line.time[:] += origin
     return line, bool(state[3] == 0)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.buffer import ENDLESS, require_sound
 from salpcc.stages.entropy.number_forms import (
+    BITS,
     DECIMAL,
     MOST_DIGITS,
     Spans,
@@ -156,9 +157,14 @@ def encode_timeline_record(values: Values, points: Points) -> bytes | None:
     if points.timeline is None or values.dtype.itemsize < 4:
         return None
     spans = spans_of(values)
-    if spans is None or (spans.low != points.timeline.time).any():
+    if spans is None:
         return None
-    return bytes([TIMELINE]) + _TIMELINE.pack(spans.form, spans.power, spans.origin)
+    apart = (
+        spans.low - points.timeline.time
+    )  # of a movable layer, whose times are told from the origin of the static one's
+    if (apart != apart[0]).any() or (apart[0] != 0 and spans.form != BITS):
+        return None
+    return bytes([TIMELINE]) + _TIMELINE.pack(spans.form, spans.power, spans.origin + int(apart[0]))
 
 
 def decode_timeline_record(data: bytes, at: int, kind: np.dtype[Any], points: Points) -> tuple[Values, int]:

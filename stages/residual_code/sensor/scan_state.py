@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from salpcc.schemas.cloud import Cloud
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.sweep import Sweep
+from salpcc.stages.entropy.number_forms import spans_as, spans_of
 from salpcc.stages.ingest.point_cloud import times_of
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.layers import Layered, alone, movable_mask
@@ -50,6 +52,26 @@ def points_beside(static: Sweep | None) -> NDArray[np.float32] | None:
     if static is None or len(static.laser):
         return None
     return np.ascontiguousarray(static.stray_points[:, :3])
+
+
+def timed_beside(
+    static: Sweep | None, own: Cloud | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]] | None:
+    """Return lasers and times ``(T,)`` that the message of a static layer tells, and the times that ``own`` tells, from the same origin; None where it tells none."""
+    cloud = None if static is None else static.cloud
+    rings = None if cloud is None else cloud.rings()
+    if cloud is None or cloud.time_field is None or rings is None or rings.max(initial=0) > 255:
+        return None
+    spans = spans_of(cloud.values(cloud.time_field))
+    if spans is None:
+        return None
+    times = np.zeros(0, np.int64)
+    if own is not None:
+        theirs = spans_as(own.values(cloud.time_field), spans.form, spans.power, spans.origin)
+        if theirs is None:
+            return None
+        times = theirs.low
+    return rings.astype(np.uint8), spans.low, times
 
 
 @dataclass
@@ -118,7 +140,10 @@ class Encoding:
             width = 1 if sweep.cloud is None else sweep.cloud.layout.width
             among = among_source(sweep.n_points, sweep.source, self.static, width)
         elif self.layered is not None and beside is not None and len(sweep.laser) == 0:
-            among = Among.of_list(len(sweep), beside, self.layered.movable)
+            timed = partial(
+                timed_beside, self.static, None if self.listed.cloud is None else self.listed.cloud
+            )
+            among = Among.of_list(len(sweep), beside, self.layered.movable, timed)
         found = plan(
             sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
             lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],

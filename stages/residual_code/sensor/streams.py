@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,13 @@ from salpcc.stages.residual_code.message import logged_scan
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.correction_coder import FLOAT32, MILLIMETRE
 from salpcc.stages.residual_code.sensor.header import CLASSES, CLOUD, FLOAT_INTENSITY, LAYER, SOURCE
-from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding, among_source, points_beside
+from salpcc.stages.residual_code.sensor.scan_state import (
+    Decoding,
+    Encoding,
+    among_source,
+    points_beside,
+    timed_beside,
+)
 from salpcc.stages.residual_code.stream import Stream
 from salpcc.stages.strays.aimed.aimed_layers import Among
 from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, learned_number
@@ -180,7 +187,7 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
         require_sound(static is None or (static.source is not None and static.n_points == header.n_points))
         among = among_source(header.n_points, header.strays, static)
     elif beside is not None and header.returns == 0:
-        among = Among.of_list(header.strays, beside)
+        among = Among.of_list(header.strays, beside, timed=partial(timed_beside, static))
     places, points, scan.timeline, sound = decode_strays(
         header.strays,
         header.max_error,

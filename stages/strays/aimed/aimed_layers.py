@@ -11,6 +11,7 @@ come, and the points after them are told from them as from any other. Which plac
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -51,12 +52,14 @@ class Among(NamedTuple):
         given: points ``(T, 3)`` of the static layer, where the layer is the movable one.
         own: points of the layer.
         width: of a row, where the list is an organised cloud whose empty places are told; 0: a list in which it is told what comes next.
+        timed: lasers and times of those GIVEN ``(T,)``, and for a writer times of those that are OWN, from the same origin; None where they are not told.
     """
 
     role: U8
     given: NDArray[np.float32]
     own: int
     width: int
+    timed: Callable[[], tuple[U8, I64, I64] | None] | None = None
 
     @classmethod
     def of_source(
@@ -83,13 +86,17 @@ class Among(NamedTuple):
 
     @classmethod
     def of_list(
-        cls, own: int, static: NDArray[np.float32], movable: NDArray[np.bool_] | None = None
+        cls,
+        own: int,
+        static: NDArray[np.float32],
+        movable: NDArray[np.bool_] | None = None,
+        timed: Callable[[], tuple[U8, I64, I64] | None] | None = None,
     ) -> Among:
         """Return it for ``own`` points of a movable layer; ``movable``: which ``(N,)`` of both layers, where that is known."""
         role = np.full(own + len(static), GIVEN, np.uint8)
         if movable is not None:
             role[movable] = OWN
-        return cls(role, static, own, 0)
+        return cls(role, static, own, 0, timed)
 
     def merged(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return all points ``(N, 3)`` of the list, from those of the layer; zeros for those that are gone."""

@@ -137,11 +137,12 @@ def grain_at(whole: int, form: int, per: float) -> float:
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def code_reach(  # type: ignore[no-untyped-def]
-    writing, state, data, models: RayModels, seen: RaySeen, i, k, again, neighbours, told, ray, form, per, azimuth, inverse, errors, guess, wanted,
+    given, writing, state, data, models: RayModels, seen: RaySeen, i, k, again, neighbours, told, ray, form, per, azimuth, inverse, errors, guess, wanted,
 ):  # fmt: skip
     """Write the first coordinate of point i of laser k as a whole number, or read and return it.
 
     Args:
+        given: it is known already, and only taken note of.
         again: of the same firing as the last of its laser.
         neighbours, told, azimuth, inverse, errors, guess: as :func:`.learned_counts.code_count` has them; ``ray``: origin and direction along the axis.
     """
@@ -192,9 +193,11 @@ def code_reach(  # type: ignore[no-untyped-def]
     missed = signed_bucket(seen.missed[place]) if place >= 0 else 4
     missed_above = signed_bucket(seen.missed[upper]) if upper >= 0 else 4
     fill_places(places, k, apart, size, wide_bucket, of_place, of_before, missed, missed_above)
-    found = code_mixed_number(
-        writing, state, data, wanted, centre, guesses, n, models.reach, places, of * SPREADS + wide_bucket, seen.opinions
-    )  # fmt: skip
+    found = wanted
+    if not given:
+        found = code_mixed_number(
+            writing, state, data, wanted, centre, guesses, n, models.reach, places, of * SPREADS + wide_bucket, seen.opinions
+        )  # fmt: skip
     learn_trust(found, guesses, n, trust, of)
     seen.missed[i] = min(max((found - centre) * grain, -100.0), 100.0)
     seen.sizes[i] = min(size_of(abs(found - np.int64(np.floor(centre + 0.5)))), SIZES - 1)
@@ -212,7 +215,7 @@ def learn_reach(seen: RaySeen, i: int, place: int, inverse: F64, r: float) -> No
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def code_aside(  # type: ignore[no-untyped-def]
-    writing, state, data, models: RayModels, seen: RaySeen, i, place, c, foretold, wide, loose, form, per, wanted
+    given, writing, state, data, models: RayModels, seen: RaySeen, i, place, c, foretold, wide, loose, form, per, wanted
 ):  # fmt: skip
     """Write coordinate c (1, 2) after the first one as a whole number, or read and return it.
 
@@ -228,21 +231,24 @@ def code_aside(  # type: ignore[no-untyped-def]
     own = signed_bucket(seen.beside[place, c - 1]) if place >= 0 else 4
     of_wide = (c - 1) * _WIDTHS + bucket_by(wide, 0.1, 1.4142135623730951, _WIDTHS)
     of_loose = (c - 1) * _LOOSE + bucket_by(loose, 0.05, 2.0, _LOOSE)
-    off = code_number(
-        writing, state, data, models.widths, of_wide * _PARTS + part,
-        models.misses, (of_loose * _HALVES + part * _HALVES // _PARTS) * SIGNED + own, wanted - whole,
-    )  # fmt: skip
+    off = wanted - whole
+    if not given:
+        off = code_number(
+            writing, state, data, models.widths, of_wide * _PARTS + part,
+            models.misses, (of_loose * _HALVES + part * _HALVES // _PARTS) * SIGNED + own, off,
+        )  # fmt: skip
     seen.beside[i, c - 1] = min(max((whole + off - middle) / (wide * 0.5 + loose + 0.25), -100.0), 100.0)
     return whole + off
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def code_learned_ray(  # type: ignore[no-untyped-def]
-    writing, state, data, learned, i, k, g, neighbours, told, ray, axis, points, time, form, per, azimuth, inverse, errors, guess
+    given, writing, state, data, learned, i, k, g, neighbours, told, ray, axis, points, time, form, per, azimuth, inverse, errors, guess
 ):  # fmt: skip
     """Write the coordinates ``points[i]``, or read them into it.
 
     Args:
+        given: they are known already, and only taken note of.
         g: the sensor of laser k; ``ray``: origin, direction, and the direction in which it turns.
     """
     models, seen = learned
@@ -250,10 +256,11 @@ def code_learned_ray(  # type: ignore[no-untyped-def]
     place = neighbours[0]
     again = place >= 0 and time[place] == time[i]
     whole = code_reach(
-        writing, state, data, models, seen, i, k, again, neighbours, told, (o[axis], d[axis]), form, per, azimuth, inverse, errors,
+        given, writing, state, data, models, seen, i, k, again, neighbours, told, (o[axis], d[axis]), form, per, azimuth, inverse, errors,
         guess, whole_of(points[i, axis], form, per),
     )  # fmt: skip
-    points[i, axis] = coordinate_of(whole, form, per)
+    if not given:
+        points[i, axis] = coordinate_of(whole, form, per)
     r = (np.float64(points[i, axis]) - o[axis]) / d[axis]
     half = 0.5 * grain_at(whole, form, per) / abs(d[axis])
     strays = np.sqrt(seen.variance[g])
@@ -266,10 +273,11 @@ def code_learned_ray(  # type: ignore[no-untyped-def]
         foretold = o[other] + r * d[other]
         loose = r * (strays * abs(turning[other]) + _UP)
         whole = code_aside(
-            writing, state, data, models, seen, i, place, c, foretold, 2.0 * half * abs(d[other]), loose, form, per,
+            given, writing, state, data, models, seen, i, place, c, foretold, 2.0 * half * abs(d[other]), loose, form, per,
             whole_of(points[i, other], form, per),
         )  # fmt: skip
-        points[i, other] = coordinate_of(whole, form, per)
+        if not given:
+            points[i, other] = coordinate_of(whole, form, per)
         if c == 1 and abs(d[other]) > 1e-6:
             # Both intervals of the distance hold; each may be off a little.
             at = (np.float64(points[i, other]) - o[other]) / d[other]

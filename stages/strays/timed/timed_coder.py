@@ -60,10 +60,13 @@ def _grain(value: float, form: int, per: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, models, learned, state, data):  # type: ignore[no-untyped-def]
+def code_timed(  # type: ignore[no-untyped-def]
+    writing, points, given, laser, group, time, rays, beside_of, form, per, models, learned, state, data
+):
     """Write or read points ``(N, 3)`` float32.
 
     Args:
+        given: which points ``(N,)`` a reader has, so that they are not coded.
         laser, time: of each point ``(N,)``; times from -1/2 to 1/2. ``group``: the sensor of each laser.
         rays: of :class:`~.turning_rays.Turning`.
         beside_of: the lasers above and below each, -1: none.
@@ -114,7 +117,7 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
             axis = 2
         if learned is not None:
             code_learned_ray(
-                writing, state, data, learned, i, k, g, (place, upper, lower), (r, spread, apart), (o, d, turning), axis, points,
+                given[i], writing, state, data, learned, i, k, g, (place, upper, lower), (r, spread, apart), (o, d, turning), axis, points,
                 time, form, per, azimuth, inverse, errors, guess,
             )  # fmt: skip
         else:
@@ -122,13 +125,16 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
             whole = whole_of(foretold, form, per)
             unit = max(_grain(foretold, form, per) / abs(d[axis]), 1e-9)
             size = np.int64(sizes[place, 0]) if place >= 0 else _CLASSES - 1
-            numbers[0] = whole_of(points[i, axis], form, per) - whole if writing else 0
-            numbers[0] = code_number(
-                writing, state, data, of_spread, bucket_of(spread, unit),
-                of_sizes, min(bucket_of(apart, unit) // 2, _CLASSES - 1) * _CLASSES + size, numbers[0],
-            )  # fmt: skip
+            known = writing or given[i]
+            numbers[0] = whole_of(points[i, axis], form, per) - whole if known else 0
+            if not given[i]:
+                numbers[0] = code_number(
+                    writing, state, data, of_spread, bucket_of(spread, unit),
+                    of_sizes, min(bucket_of(apart, unit) // 2, _CLASSES - 1) * _CLASSES + size, numbers[0],
+                )  # fmt: skip
             sizes[i, 0] = (size_of(abs(numbers[0])) + 1) // 2
-            points[i, axis] = coordinate_of(whole + numbers[0], form, per)
+            if not given[i]:
+                points[i, axis] = coordinate_of(whole + numbers[0], form, per)
             r = (np.float64(points[i, axis]) - o[axis]) / d[axis]
             r = min(max(r, _NEAREST), _FARTHEST)
             grain = _grain(np.float64(points[i, axis]), form, per)
@@ -136,15 +142,17 @@ def code_timed(writing, points, laser, group, time, rays, beside_of, form, per, 
                 other = axis + c if axis + c < 3 else axis + c - 3
                 foretold = o[other] + r * d[other]
                 whole = whole_of(foretold, form, per)
-                numbers[c] = whole_of(points[i, other], form, per) - whole if writing else 0
+                numbers[c] = whole_of(points[i, other], form, per) - whole if known else 0
                 near = np.int64(sizes[place, c]) if place >= 0 else _CLASSES - 1
                 loose = abs(d[other] / d[axis]) * grain * 0.5 + r * _WANDERS * (1.0 if other == 2 else 2.0)
-                numbers[c] = code_number(
-                    writing, state, data, of_grain, (c - 1) * SPREADS + bucket_of(loose, _grain(foretold, form, per)),
-                    of_across, ((c - 1) * _CLASSES + near) * _CLASSES + np.int64(sizes[recent, c]), numbers[c],
-                )  # fmt: skip
+                if not given[i]:
+                    numbers[c] = code_number(
+                        writing, state, data, of_grain, (c - 1) * SPREADS + bucket_of(loose, _grain(foretold, form, per)),
+                        of_across, ((c - 1) * _CLASSES + near) * _CLASSES + np.int64(sizes[recent, c]), numbers[c],
+                    )  # fmt: skip
                 sizes[i, c] = (size_of(abs(numbers[c])) + 1) // 2
-                points[i, other] = coordinate_of(whole + numbers[c], form, per)
+                if not given[i]:
+                    points[i, other] = coordinate_of(whole + numbers[c], form, per)
         if not writing and state[3] != 0:
             return
         x, y, z = (

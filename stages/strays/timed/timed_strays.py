@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from salpcc.stages.strays.rays.ray_forms import BITS, GRID, HALVES
 from salpcc.stages.strays.timed.fit_turning import Fitted, fit_again, fit_turning
 from salpcc.stages.strays.timed.timed_coder import code_timed, new_models
 from salpcc.stages.strays.timed.turning_rays import Turning
-from salpcc.stages.strays.timeline import I64, Lasers, Timeline, decode_timeline, find_timelines
+from salpcc.stages.strays.timeline import I64, Given, Lasers, Timeline, decode_timeline, find_timelines
 
 _BODY, _RAYS = struct.Struct("<I"), struct.Struct("<BBB")
 _FEWEST, _MOST_POINTS = 2000, 1 << 22
@@ -32,6 +33,15 @@ _HOPELESS = 6.0  # bits a point of a timeline
 Array = NDArray[np.uint8]
 
 
+class Known(NamedTuple):
+    """What a reader has of a list: which points ``(N,)``, these ``(T, 3)``, their lasers and times ``(T,)``."""
+
+    which: NDArray[np.bool_]
+    points: F32
+    laser: Lasers
+    time: I64
+
+
 def write_timed(
     points: F32,
     laser: Lasers,
@@ -40,16 +50,18 @@ def write_timed(
     per: int,
     like: Fitted | None = None,
     learned: Learned | None = None,
+    given: Given = None,
 ) -> tuple[bytes, Timeline, Fitted] | None:
     """Encode points ``(S, 3)`` of lasers ``(S,)`` at times ``(S,)``; None where they do not go round, or a reader would have others.
 
     Args:
         like: the rays of the scan before, to begin with.
         learned: of such points before, for efforts above ``fast``.
+        given: which points ``(S,)`` a reader has; None: none.
     """
     if not _FEWEST <= len(points) <= _MOST_POINTS:
         return None
-    lines = find_timelines(laser, time)
+    lines = find_timelines(laser, time, given)
     if not lines or 8 * len(lines[0][1]) > _HOPELESS * len(points):
         return None
     wide, lasers, scaled = points.astype(np.float64), laser.astype(np.int64), _scaled(time)
@@ -68,7 +80,7 @@ def write_timed(
         between = learned.between(wide, lasers, origin)
 
     def written(fitted: Fitted, line: Timeline, told: bytes) -> tuple[bytes, Timeline] | None:
-        return _written(points, line, told, fitted[0], form, per, learned, between)
+        return _written(points, line, told, fitted[0], form, per, learned, between, given)
 
     best = min(fits, key=lambda fit: fit[0][1])
     if learned is not None and len(fits) > 1:  # the nearest may be of too many sensors to learn much
@@ -87,11 +99,12 @@ def _written(
     per: int,
     learned: Learned | None,
     between: NDArray[np.float32],
+    given: Given,
 ) -> tuple[bytes, Timeline] | None:
     """Encode points of these lasers, times and rays, and what a reader will know of them; None where it would have others."""
     out = np.empty(48 * len(points) + 4096, np.uint8)
     state, back = start_encoder(), points.copy()
-    known = _code(True, back, line, turning, form, per, learned, between, state, out)
+    known = _code(True, back, line, turning, form, per, learned, between, given, state, out)
     written = int(finish_encoder(state, out)) if state[3] == 0 else -1
     if written < 0 or (back.view(np.int32) != points.view(np.int32)).any():
         return None
@@ -103,7 +116,7 @@ def _written(
 
 
 def read_timed(
-    n: int, per: int, data: Array, lists: LearnedLists | None = None
+    n: int, per: int, data: Array, lists: LearnedLists | None = None, given: Known | None = None
 ) -> tuple[F32, Timeline, bool]:
     """Inverse of :func:`write_timed`: points ``(n, 3)``, their timeline, and whether the data made sense; ``lists``: what was learned before."""
     points, line = np.zeros((n, 3), np.float32), Timeline(np.zeros(n, np.uint8), np.zeros(n, np.int64), 0)
@@ -113,7 +126,13 @@ def read_timed(
     begin = _BODY.size + _BODY.unpack_from(raw)[0]
     if begin + _RAYS.size > len(raw):
         return points, line, False
-    line, sound = decode_timeline(n, raw[_BODY.size : begin])
+    known = None
+    if given is not None:
+        known = given.which
+        points[known] = given.points
+    line, sound = decode_timeline(
+        n, raw[_BODY.size : begin], given and (given.which, given.laser, given.time)
+    )
     form, lasers, sensors = _RAYS.unpack_from(raw, begin)
     form, number = form & 15, form >> 4
     lasers += 1
@@ -131,7 +150,7 @@ def read_timed(
     walk = np.frombuffer(bytearray(raw[end:]), np.uint8)
     state = start_decoder(walk)
     turning = Turning(a.reshape(-1, 2), b.reshape(-1, 7), c)
-    line = _code(False, points, line, turning, form, per, learned, between, state, walk)
+    line = _code(False, points, line, turning, form, per, learned, between, known, state, walk)
     if learned is not None:
         learned.settle()
     return points, line, bool(state[3] == 0)
@@ -151,6 +170,7 @@ def _code(
     per: int,
     learned: Learned | None,
     between: NDArray[np.float32],
+    given: Given,
     state: I64,
     data: Array,
 ) -> Timeline:
@@ -165,8 +185,9 @@ def _code(
     if learned is not None:
         walk = learned.turning(Swept(points, between), eyes_of(turning, line.group))
         line = replace(line, passed=learned.passed)
+    known = np.zeros(len(points), np.bool_) if given is None else given
     code_timed(
-        writing, points, line.laser, line.group, _scaled(line.time), rays, (above, below), form, float(per), new_models(), walk, state,
+        writing, points, known, line.laser, line.group, _scaled(line.time), rays, (above, below), form, float(per), new_models(), walk, state,
         data,
     )  # fmt: skip
     return line

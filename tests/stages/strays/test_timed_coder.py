@@ -9,7 +9,8 @@ from salpcc.stages.entropy.number_forms import spans_of
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import TIMELINE
-from salpcc.stages.strays.stray_coder import TIMED, decode_strays, encode_strays, plan
+from salpcc.stages.strays.aimed.aimed_layers import Among
+from salpcc.stages.strays.stray_coder import TIMED, TIMED_AMONG, decode_strays, encode_strays, plan
 from salpcc.stages.strays.timed import timed_strays
 from salpcc.stages.strays.timeline import Timeline, decode_timeline, encode_timeline, find_timelines
 
@@ -158,3 +159,65 @@ def test_any_bytes_end(data: bytes, n: int, groups: int, cycle: int) -> None:
     )
     for body in (data, len(line).to_bytes(4, "little") + line + rays + data):
         decode_strays(n, 0.0, np.frombuffer(bytearray(head + body), np.uint8))
+
+
+def layers(merged: Listed) -> tuple[np.ndarray, np.ndarray, Among]:
+    """Points of things that move, their places, and the rest."""
+    points, laser, time = merged
+    mask = (np.arange(len(points)) // 150 % 8 == 3) & (laser % 16 > 4)
+    told = laser[~mask], time[~mask], time[mask]
+    among = Among.of_list(int(mask.sum()), points[~mask], mask, lambda: told)
+    return points[mask], np.flatnonzero(mask), among
+
+
+def test_a_movable_layer_on_the_rays_of_both(merged: Listed) -> None:
+    _, laser, time = merged
+    moving, places, among = layers(merged)
+    lanes, times = laser[places], time[places]
+    data = encode_strays(places, plan(moving, 0.0, lanes=lanes, times=times, among=among))
+    assert data[4] == TIMED_AMONG
+    blank = Among.of_list(len(moving), among.given, timed=among.timed)
+    found, back, told, sound = decode_strays(
+        len(moving), 0.0, np.frombuffer(bytearray(data), np.uint8), among=blank
+    )
+    assert sound
+    assert (found == places).all()
+    assert back.tobytes() == moving.tobytes()
+    assert told is not None
+    assert (told.laser == lanes).all()
+    assert (told.time == times).all()
+    alone = encode_strays(places, plan(moving, 0.0, lanes=lanes, times=times))
+    assert len(data) < 0.8 * len(alone)
+
+
+def test_odd_points_beside_a_movable_layer(merged: Listed) -> None:
+    points, laser, time = merged
+    odd = points.copy()
+    odd[5:900:97] = np.nan
+    odd[7:900:97, 1] = np.inf
+    moving, places, among = layers((odd, laser, time))
+    data = encode_strays(places, plan(moving, 0.0, lanes=laser[places], among=among))
+    blank = Among.of_list(len(moving), among.given, timed=among.timed)
+    _, back, _, sound = decode_strays(len(moving), 0.0, np.frombuffer(bytearray(data), np.uint8), among=blank)
+    assert data[4] == TIMED_AMONG
+    assert sound
+    assert back.tobytes() == moving.tobytes()
+
+
+@settings(max_examples=40, deadline=None)
+@given(at=st.integers(0, 1 << 30), value=st.integers(0, 255), cut=st.integers(0, 1 << 30))
+def test_damage_of_a_movable_layer_ends(merged: Listed, at: int, value: int, cut: int) -> None:
+    _, laser, _ = merged
+    moving, places, among = layers(merged)
+    data = DAMAGED.setdefault(0, encode_strays(places, plan(moving, 0.0, lanes=laser[places], among=among)))
+    changed = bytearray(data)
+    changed[at % (len(data) if cut % 2 else 100)] = value
+    if cut % 3 == 0:
+        changed = changed[: cut % len(changed)]
+    blank = Among.of_list(len(moving), among.given, timed=among.timed if value else None)
+    found, back, _, sound = decode_strays(len(moving), 0.0, np.frombuffer(changed, np.uint8), among=blank)
+    assert len(found) == len(back) == len(moving)
+    assert value or not sound or len(changed) < 5 or changed[4] != TIMED_AMONG
+
+
+DAMAGED: dict[int, bytes] = {}
