@@ -27,6 +27,7 @@ _NEVER = np.int64(1) << 62
 _LARGEST = np.int64(1) << 39
 _LONGEST = 1 << 32
 _MOST_SKIPPED = 64  # on the way to a laser; to go on from there is cheaper
+_REMEMBERED = 3  # times that a laser was due
 _STEADY = 15  # points of a group since its times last were not those that they were due at
 _SIZES = (0, 16, 32, 64, 128)  # lasers of a sensor
 _NEARLY = 1.1  # of the shortest; then rays tell which lasers are of one sensor
@@ -83,6 +84,42 @@ def _skips(due: NDArray[np.int64], seen: int, laser: int) -> int:
 
 
 @njit(cache=True)
+def _not_come(missed: int, turns: int) -> int:
+    """What was ``missed`` of a laser, after more turns in which it did not come."""
+    return (missed + 1 << min(turns, _REMEMBERED)) - 1
+
+
+@njit(cache=True)
+def _pass(k, time, g, cycle, due, late, missed, steady):  # type: ignore[no-untyped-def]
+    """Take note of a given point of laser k and group g; the others of its group learn of it by :func:`_catch_up`."""
+    if due[k] != _NEVER:
+        off = time - due[k] - late[g]
+        turns = (off + cycle // 2) // cycle
+        if turns > 0:
+            missed[k] = _not_come(missed[k], turns)
+        off -= turns * cycle
+        late[g] += off
+        steady[g] = steady[g] + 1 if off == 0 else 0
+    due[k] = time + cycle - late[g]
+    missed[k] = missed[k] << 1
+
+
+@njit(cache=True)
+def _catch_up(seen, now, group, cycle, due, late, missed):  # type: ignore[no-untyped-def]
+    """Let lasers be due as far as given points have shown: those that are due before ``now`` did not come."""
+    for k in range(seen):
+        if due[k] == _NEVER:
+            continue
+        g = group[k]
+        due[k] += late[g]
+        if due[k] < now:
+            turns = (now - due[k] + cycle[g] - 1) // cycle[g]
+            due[k] += turns * cycle[g]
+            missed[k] = _not_come(missed[k], turns)
+    late[:] = 0
+
+
+@njit(cache=True)
 def _code(writing, laser, time, given, group, cycle, models, state, data):  # type: ignore[no-untyped-def]
     """Write or read lasers and times ``(N,)``, but those that are ``given (N,)``; ``cycle``: of each group."""
     of_way, of_laser, of_seen, of_own, of_off = models
@@ -90,41 +127,46 @@ def _code(writing, laser, time, given, group, cycle, models, state, data):  # ty
     asked = np.full(LASERS, -1)  # the last point before which a laser was asked for and did not come
     missed = np.zeros(LASERS, np.int64)  # of each laser, whether it did of the last times that it was due
     steady = np.zeros(LASERS, np.int64)
+    late = np.zeros(LASERS, np.int64)  # of each group, what given points differed from when they were due
+    passed = False
     skipped = np.empty(LASERS, np.int64)
     now, odd, before, total = np.int64(0), np.int64(0), np.int64(0), 0
     seen = 0  # above the highest laser that came; no other is due
     n = len(laser)
     for i in range(n):
         k = np.int64(laser[i])
+        if given[i]:
+            now, before, passed = time[i], k, True
+            seen = max(seen, int(k) + 1)
+            _pass(k, now, group[k], cycle[group[k]], due, late, missed, steady)
+            continue
+        if passed:
+            _catch_up(seen, now, group, cycle, due, late, missed)
+            passed = False
         way = np.int64(0)
-        told = not given[i]
-        if writing or not told:
+        if writing:
             way = np.int64(
                 due[k] == _NEVER
                 or _skips(due, seen, k) > _MOST_SKIPPED
                 or abs(time[i] - due[k]) > cycle[group[k]] // 2
             )
-        if told:
-            way = code_mixed_bit(writing, state, data, of_way, odd, of_way, odd, way)
+        way = code_mixed_bit(writing, state, data, of_way, odd, of_way, odd, way)
         odd = (odd << 1 | way) & 255
         if way == 1:
-            if told:
-                node = 1
-                for shift in range(7, -1, -1):
-                    at = before * 256 + node
-                    node = node << 1 | code_mixed_bit(
-                        writing, state, data, of_laser, at, of_laser, at, (k >> shift) & 1
-                    )
-                k = np.int64(node & 255)
+            node = 1
+            for shift in range(7, -1, -1):
+                at = before * 256 + node
+                node = node << 1 | code_mixed_bit(
+                    writing, state, data, of_laser, at, of_laser, at, (k >> shift) & 1
+                )
+            k = np.int64(node & 255)
             off = time[i] - now
-            if (writing or not told) and abs(off) >= _LARGEST:
+            if writing and abs(off) >= _LARGEST:
                 state[3] = 1
                 return
-            if told:
-                off = code_number(
-                    writing, state, data, of_off, 2 * (_STEADY + 1), of_off, 2 * (_STEADY + 1), off
-                )
-            now += off
+            now += code_number(
+                writing, state, data, of_off, 2 * (_STEADY + 1), of_off, 2 * (_STEADY + 1), off
+            )
             g = group[k]
             for other in range(seen):  # those of its group that were due long ago
                 if due[other] != _NEVER and group[other] == g and due[other] < now - cycle[g] // 2:
@@ -140,10 +182,7 @@ def _code(writing, laser, time, given, group, cycle, models, state, data):  # ty
                 tied = 0 if due[found] != now else (1 if asked[found] == i - 1 else 2)
                 at = ((missed[found] & 7) * 3 + tied) * 2 + np.int64(n_skipped > 0)
                 own = found * 8 + (missed[found] & 1) * 4 + tied
-                other_one = np.int64(found != k)
-                if told:
-                    other_one = code_mixed_bit(writing, state, data, of_seen, at, of_own, own, other_one)
-                if other_one == 0:
+                if code_mixed_bit(writing, state, data, of_seen, at, of_own, own, np.int64(found != k)) == 0:
                     break
                 asked[found] = i
                 skipped[n_skipped] = found
@@ -151,10 +190,10 @@ def _code(writing, laser, time, given, group, cycle, models, state, data):  # ty
                 total += 1
             k = np.int64(found)
             g = group[k]
-            off = time[i] - due[k]
-            if told:
-                at = np.int64(min(steady[g], np.int64(_STEADY)))
-                off = code_number(writing, state, data, of_off, at, of_off, _STEADY + 1 + at, off)
+            told = np.int64(min(steady[g], np.int64(_STEADY)))
+            off = code_number(
+                writing, state, data, of_off, told, of_off, _STEADY + 1 + told, time[i] - due[k]
+            )
             now = due[k] + off
             for j in range(n_skipped):
                 other = skipped[j]

@@ -159,9 +159,7 @@ def encode_timeline_record(values: Values, points: Points) -> bytes | None:
     spans = spans_of(values)
     if spans is None:
         return None
-    apart = (
-        spans.low - points.timeline.time
-    )  # of a movable layer, whose times are told from the origin of the static one's
+    apart = spans.low - points.timeline.time  # a movable layer's are told from the static one's origin
     if (apart != apart[0]).any() or (apart[0] != 0 and spans.form != BITS):
         return None
     return bytes([TIMELINE]) + _TIMELINE.pack(spans.form, spans.power, spans.origin + int(apart[0]))

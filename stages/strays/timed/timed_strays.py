@@ -20,6 +20,7 @@ from salpcc.stages.strays.rays.ray_coder import F32
 from salpcc.stages.strays.rays.ray_forms import BITS, GRID, HALVES
 from salpcc.stages.strays.timed.fit_turning import Fitted, fit_again, fit_turning
 from salpcc.stages.strays.timed.timed_coder import code_timed, new_models
+from salpcc.stages.strays.timed.timed_layers import heeded_points
 from salpcc.stages.strays.timed.turning_rays import Turning
 from salpcc.stages.strays.timeline import I64, Given, Lasers, Timeline, decode_timeline, find_timelines
 
@@ -175,22 +176,31 @@ def _code(
     data: Array,
 ) -> Timeline:
     """Write or read points; return their timeline with all that is known of it then."""
+    above, below = _beside(turning, line)
+    rays = tuple(np.ascontiguousarray(a) for a in (turning.lasers, turning.sensors, turning.motion))
+    known = np.zeros(len(points), np.bool_) if given is None else given
+    heeded = slice(None) if given is None else heeded_points(line.laser, given, above, below)
+    own = points[heeded]
+    walk = None
+    if learned is not None:
+        walk = learned.turning(Swept(own, between), eyes_of(turning, line.group))
+        line = replace(line, passed=learned.passed)
+    code_timed(
+        writing, own, known[heeded], line.laser[heeded], line.group, _scaled(line.time)[heeded], rays, (above, below), form, float(per),
+        new_models(), walk, state, data,
+    )  # fmt: skip
+    points[heeded] = own
+    return line
+
+
+def _beside(turning: Turning, line: Timeline) -> tuple[I64, I64]:
+    """The lasers above and below each, of the same sensor; -1: none."""
     order = np.argsort(-turning.lasers[:, 0].astype(np.float64), kind="stable")
     above, below = np.full(len(order), -1), np.full(len(order), -1)
     for sensor in range(len(turning.sensors)):
         own = order[line.group[order] == sensor]
         above[own[1:]], below[own[:-1]] = own[:-1], own[1:]
-    rays = tuple(np.ascontiguousarray(a) for a in (turning.lasers, turning.sensors, turning.motion))
-    walk = None
-    if learned is not None:
-        walk = learned.turning(Swept(points, between), eyes_of(turning, line.group))
-        line = replace(line, passed=learned.passed)
-    known = np.zeros(len(points), np.bool_) if given is None else given
-    code_timed(
-        writing, points, known, line.laser, line.group, _scaled(line.time), rays, (above, below), form, float(per), new_models(), walk, state,
-        data,
-    )  # fmt: skip
-    return line
+    return above, below
 
 
 def _scaled(time: I64) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from salpcc.stages.residual_code.message.records import TIMELINE
 from salpcc.stages.strays.aimed.aimed_layers import Among
 from salpcc.stages.strays.stray_coder import TIMED, TIMED_AMONG, decode_strays, encode_strays, plan
 from salpcc.stages.strays.timed import timed_strays
+from salpcc.stages.strays.timed.timed_layers import heeded_points
 from salpcc.stages.strays.timeline import Timeline, decode_timeline, encode_timeline, find_timelines
 
 LASERS, FIRINGS, CYCLE = 16, 400, 55_296
@@ -188,6 +189,34 @@ def test_a_movable_layer_on_the_rays_of_both(merged: Listed) -> None:
     assert (told.time == times).all()
     alone = encode_strays(places, plan(moving, 0.0, lanes=lanes, times=times))
     assert len(data) < 0.8 * len(alone)
+
+
+def test_times_of_given_points_tell_when_the_others_are_due(merged: Listed) -> None:
+    _, laser, time = merged
+    known = np.ones(len(laser), np.bool_)
+    known[1000:9000:40] = False
+    line = Timeline(laser, time, LASERS)
+    data = encode_timeline(line, given=known)
+    assert data is not None
+    assert 8 * len(data) < 4 * np.count_nonzero(~known)
+    back, sound = decode_timeline(len(laser), data, (known, laser[known], time[known]))
+    assert sound
+    assert (back.laser == laser).all()
+    assert (back.time == time).all()
+
+
+def test_the_last_points_of_a_laser_and_of_those_beside_it_are_heeded() -> None:
+    rng = np.random.default_rng(3)
+    laser = rng.integers(0, 6, 3000).astype(np.uint8)
+    given = rng.random(3000) < 0.98
+    above, below = np.array([-1, 0, 1, -1, 3, 4]), np.array([1, 2, -1, 4, 5, -1])
+    expected = ~given
+    for i in np.flatnonzero(~given):
+        for k in {laser[i], above[laser[i]], below[laser[i]]}:
+            before = np.flatnonzero((laser[:i] == k) & given[:i])
+            expected[before[-8:]] = True
+    assert 0.1 < expected.mean() < 0.9
+    assert (heeded_points(laser, given, above, below) == expected).all()
 
 
 def test_odd_points_beside_a_movable_layer(merged: Listed) -> None:
