@@ -92,8 +92,8 @@ def decode_cloud(
     timeline: Timeline | None = None,
     layered: Layered | None = None,
     source: NDArray[np.int64] | None = None,
-) -> tuple[Cloud, NDArray[np.float32] | None]:
-    """Inverse of :func:`encode_cloud`: the cloud, and ``dim``.
+) -> tuple[Cloud, NDArray[np.float32] | None, Points]:
+    """Inverse of :func:`encode_cloud`: the cloud, ``dim``, and what is known of the points.
 
     Args:
         n_points: points of the source scan, dropped ones included.
@@ -147,7 +147,7 @@ def decode_cloud(
     if flags & _DIM:
         dim, at = modes.decode((cloud.topic, _DIM_FIELD), section, at, np.dtype(np.float32), known)
     require_sound(at == len(section))
-    return replace(cloud, rest=_rest(layout, columns, len(points))), dim
+    return replace(cloud, rest=_rest(layout, columns, len(points))), dim, known
 
 
 def points_of(

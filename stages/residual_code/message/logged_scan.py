@@ -108,7 +108,7 @@ def decode_logged(
         ArchiveError: a stream is damaged.
     """
     points = sweep_to_scan(sweep, sensor).points
-    cloud, dim = decode_cloud(
+    cloud, dim, known = decode_cloud(
         stream,
         sweep.n_points,
         points,
@@ -128,7 +128,7 @@ def decode_logged(
     if cloud.layout.slots[3] is None:
         values = intensity_of(cloud)
     else:
-        known = _guided(points_of(points, cloud, sensor, timeline, layered, sweep.source), cloud)
+        known = _guided(known, cloud)
         name = (cloud.topic, INTENSITY)
         values, end = modes.decode(name, intensity, 0, np.dtype(np.float32), known)
         require_sound(end == len(intensity))
