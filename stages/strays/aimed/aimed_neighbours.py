@@ -99,7 +99,7 @@ def nearest_from(here, at, ticks, azimuth, links):  # type: ignore[no-untyped-de
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def mean_error(errors, p, place, upper, lower):  # type: ignore[no-untyped-def]
-    """How far off the guess p was at the points around (-1: none), as a share of the distance."""
+    """How far off the guess p lately was at the points around (-1: none), as a share of the distance."""
     error, seen = 0.0, 0.0
     for j in (place, upper, lower):
         if j >= 0:
@@ -200,7 +200,10 @@ def learn_distance(  # type: ignore[no-untyped-def]
     """Take note that point i, after ``place`` of the same laser (-1: none), is at the distance ``d``, where 1/d was ``expected``, and of how far its guesses were off."""
     inverse[i] = 1.0 / d
     for p in range(len(guess)):
-        errors[i, p] = np.uint16(min(abs(guess[p] * d - 1.0), 1.0) * 65535.0)
+        error = min(abs(guess[p] * d - 1.0), 1.0) * 65535.0
+        if place >= 0:
+            error = 0.5 * (errors[place, p] + error)
+        errors[i, p] = np.uint16(error)
     w = inverse[i]
     per_surface = 1.0 / (w * w * _SURFACE)
     off = (w - expected) * per_surface

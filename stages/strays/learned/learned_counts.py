@@ -47,7 +47,7 @@ _SWEEPS, _BEFORE = 2, 2  # the sweep before as it was, and as it is seen now; gu
 _OWN = GUESSES + 2  # other guesses
 _MOST = _OWN + _SWEEPS * _BEFORE
 _NEAR, _NEAR_MOVED = 0.0005, 0.001  # turns; what was farther off in the sweep before says nothing
-WIDER, LEAST, _LEAST_BEFORE = 0.3, 0.5, 0.4  # widths: of how far off a guess was, and at least, in levels
+WIDER, LEAST, _LEAST_BEFORE = 0.25, 0.5, 0.4  # widths: of how far off a guess was, and at least, in levels
 _UNKNOWN = 0.02  # of the distance
 
 I64 = NDArray[np.int64]
@@ -69,7 +69,7 @@ class CountSeen(NamedTuple):
         last (256,): of each laser, whether its last point was a first return, one more at the same tick, or, where both were about, at the distance of the
             laser's last point, or of its last second return: some drivers write every pair of returns twice.
         was: of each point ``(n, 2)`` 1/d in these, 0 where that says nothing; ``there (n,)`` its place in the list before, as it is seen now, -1: none;
-            ``off (n, 4)`` how far off the guesses by them were.
+            ``off (n, 4)`` how far off the guesses by them lately were.
         missed, sizes: of each point, how far off the centre it was in spreads, and the size of that in levels.
     """
 
@@ -232,7 +232,7 @@ def code_count(  # type: ignore[no-untyped-def]
         n += 1
     for j in range(n):
         guesses.weight[j] *= trust[of, j] / total
-    for wide in (0.5, 1.5):
+    for wide in (0.5, 2.0):
         guesses.mean[n], guesses.per[n], guesses.weight[n] = (
             together,
             1.0 / (spread * wide + LEAST),
@@ -292,7 +292,12 @@ def code_count(  # type: ignore[no-untyped-def]
     for w in range(_SWEEPS):
         if was[i, w] == 0.0:
             continue
+        lately = place >= 0 and was[place, w] > 0.0
         changed = with_change(was, w, i, place, inverse)
-        seen.off[i, 2 * w] = min(abs(was[i, w] * d - 1.0), 1.0)
-        seen.off[i, 2 * w + 1] = min(abs(changed * d - 1.0), 1.0)
+        for which in range(_BEFORE):
+            value = was[i, w] if which == 0 else changed
+            off = min(abs(value * d - 1.0), 1.0)
+            if lately:
+                off = 0.5 * (seen.off[place, 2 * w + which] + off)
+            seen.off[i, 2 * w + which] = off
     return found
