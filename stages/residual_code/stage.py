@@ -34,7 +34,7 @@ from salpcc.stages.residual_code.paper.grid_streams import GridState
 from salpcc.stages.residual_code.sensor.scan_coder import on_lattice
 from salpcc.stages.residual_code.stream import Payload
 
-VERSION = 18
+VERSION = 19
 
 
 def run(task: pa.Table, planes: pa.Table, prediction: pa.Table, config: RunConfig) -> pa.Table:
