@@ -73,10 +73,13 @@ def network_classes(
     """
     # Imported here: a process that asks no network has no use for torch's hundred megabytes.
     from salpcc.stages.segment.network.checkpoint import load_cached
+    from salpcc.stages.segment.network.view import view_of
     from salpcc.stages.segment.segmenter import segment_scan
 
     network = load_cached(weights_path(weights), device)
-    found = [segment_scan(network, scan.points, scan.intensity) for scan in scans]
+    clouds = [(scan.points, scan.intensity) for scan in scans]
+    view = view_of(clouds)
+    found = [segment_scan(network, points, intensity, view) for points, intensity in clouds]
     return [one.labels() for one in judge_group(found, follows, motions, several_scans)]
 
 

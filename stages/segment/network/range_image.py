@@ -1,7 +1,6 @@
-"""Range image: the grid of section IV that the network sees, and the way back to every point.
+"""Range image: the grid of section IV that the network sees.
 
-Columns are the azimuth of eq. (1); rows are the cones of a 64-laser sensor, nearest in elevation. The
-image is made from points alone, so one path serves scans on the lattice, raw ones and foreign sensors.
+Columns are the azimuth of eq. (1); rows are the cones of a 64-laser sensor, nearest in elevation.
 """
 
 from __future__ import annotations
@@ -12,9 +11,6 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-
-from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
-from salpcc.stages.segment.network.ground_height import ground_surface, put_heights
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -33,9 +29,10 @@ class RangeImage:
 
     Attributes:
         planes: ``(6, 64, W)`` float32: x, y, z, range, intensity, height above the ground; 0 where empty.
-        index: ``(64, W)`` int32, the point that each pixel shows (the nearest of those in it), -1 if none.
-        row, column: ``(N,)`` int32, the pixel of each point, -1 for points that have none (NaN, origin).
-        distance: ``(N,)`` float32, the range of each point that has a pixel.
+        index: ``(64, W)`` int32, the point that each pixel shows (the nearest of those in it; between rings that of
+            the nearer one), -1 if none.
+        row, column: ``(N,)`` int32, the pixel of each point, -1 for points that have none (NaN, origin, steep ones).
+        distance: ``(N,)`` float32, the range of each point that has a pixel; of steep ones that of the pixel.
     """
 
     planes: F32
@@ -91,62 +88,3 @@ def nearest_cone(x: float, y: float, z: float, tangent: F64, z0: F64, start: int
         if below == len(tangent) or over < z - z0[below] - rho * tangent[below]:
             return below - 1
     return below
-
-
-@njit(cache=True)
-def _pixels(points: F32, azimuth: F32, tangent: F64, z0: F64, columns: int) -> tuple[I32, I32, F32, I32]:
-    """Return row, column and distance ``(N,)`` of each point, and the point ``(H, W)`` that each pixel shows."""
-    row = np.full(len(points), -1, np.int32)
-    column = np.full(len(points), -1, np.int32)
-    distance = np.zeros(len(points), np.float32)
-    index = np.full((len(tangent), columns), -1, np.int32)
-    a = 0
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        a = nearest_cone(x, y, z, tangent, z0, a)
-        if a < 0:
-            continue
-        b = min(int(0.5 * (1.0 - azimuth[i] / np.pi) * columns), columns - 1)
-        row[i] = a
-        column[i] = b
-        distance[i] = np.sqrt(np.float64(x) * x + np.float64(y) * y + np.float64(z) * z)
-        there = index[a, b]
-        if there < 0 or distance[i] < distance[there]:
-            index[a, b] = i
-    return row, column, distance, index
-
-
-@njit(cache=True)
-def _shown(points: F32, intensity: F32, distance: F32, index: I32) -> F32:
-    """Return the planes of an image but for heights, which are 0."""
-    rows, columns = index.shape
-    planes = np.zeros((PLANES, rows, columns), np.float32)
-    for a in range(rows):
-        for b in range(columns):
-            i = index[a, b]
-            if i < 0:
-                continue
-            for axis in range(3):
-                planes[axis, a, b] = points[i, axis]
-            planes[RANGE, a, b] = distance[i]
-            if intensity[i] > 0:  # NaN is not
-                planes[INTENSITY, a, b] = min(intensity[i], np.float32(1.0))
-    return planes
-
-
-def project(
-    points: F32, intensity: F32, sensor: SensorModel | None = None, columns: int = COLUMNS
-) -> RangeImage:
-    """Lay points ``(N, 3)`` and intensities ``(N,)`` on the grid; inverse: :mod:`salpcc.stages.segment.back_projection`.
-
-    Args:
-        sensor: whose cones are the rows, which come top to bottom; by default the HDL-64E's.
-    """
-    cones = sensor or load_sensor("hdl64e")
-    points = np.ascontiguousarray(points, np.float32)
-    with np.errstate(all="ignore"):
-        azimuth = np.arctan2(points[:, 1], points[:, 0])
-    row, column, distance, index = _pixels(points, azimuth, np.tan(cones.theta), cones.z0, columns)
-    planes = _shown(points, np.asarray(intensity, np.float32), distance, index)
-    put_heights(planes[HEIGHT], points, index, ground_surface(points, row >= 0))
-    return RangeImage(planes, index, row, column, distance)

@@ -18,7 +18,7 @@ from salpcc.schemas.errors import SourceError
 from salpcc.schemas.labels import CLASSES, classes_of_labels
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti, read_labels
-from salpcc.stages.segment.network.range_image import project
+from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.training.kitti_boxes import HINT, labels_of_boxes, list_boxed
 
 F32 = NDArray[np.float32]

@@ -18,6 +18,7 @@ class SampleConfig:
         distorted: whether crops are turned, scaled, mirrored and thinned out.
         turned: share of the distorted crops that are turned any way at all, not just along the road.
         brightened: share of the distorted crops that get another sensor's intensities.
+        other_sensors: share of the distorted crops that get another sensor's rings, or no intensities.
     """
 
     width: int = 512
@@ -29,6 +30,7 @@ class SampleConfig:
     distorted: bool = True
     turned: float = 0.4
     brightened: float = 0.25
+    other_sensors: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,10 @@ PHASES = (
     Phase(),
 )
 # Of weights that know streets already: with more of what is rare set into them, then streets as they are.
-GOING_ON = (Phase(0.7, SampleConfig(512, 0.3, 0.7, 5, (0.5, 0.6, 0.6), 0.3)), Phase())
+GOING_ON = (
+    Phase(0.7, SampleConfig(512, 0.3, 0.7, 5, (0.5, 0.6, 0.6), 0.3, other_sensors=0.5)),
+    Phase(samples=SampleConfig(other_sensors=0.5)),
+)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from salpcc.stages.segment.network.point_branch import PointTensors
 from salpcc.stages.segment.network.range_image import COLUMNS, RANGE
 from salpcc.stages.segment.training.crops import Crop, cut, distort, mirror
 from salpcc.stages.segment.training.labelled import LabelledImage, LabelledScans, read_labelled, sequence_of
+from salpcc.stages.segment.training.other_sensors import as_other_sensor
 from salpcc.stages.segment.training.recipe import SampleConfig
 from salpcc.stages.segment.training.scan_mixing import Instance, instances_of, mix, paste
 
@@ -92,7 +93,8 @@ class Samples(IterableDataset[Batch]):
             self._paste(crop, rng)
         if not self.config.distorted:
             return crop
-        return distort(crop, rng, self.config.turned, self.config.brightened)
+        crop = distort(crop, rng, self.config.turned, self.config.brightened)
+        return as_other_sensor(crop, rng) if rng.random() < self.config.other_sensors else crop
 
     def _plain(self, rng: np.random.Generator) -> Crop:
         number = int(rng.choice(len(self.scans), p=self._weights))

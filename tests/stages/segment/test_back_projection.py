@@ -4,7 +4,8 @@ import numpy as np
 
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.segment.back_projection import classes_of_points
-from salpcc.stages.segment.network.range_image import COLUMNS, project
+from salpcc.stages.segment.network.projection import project
+from salpcc.stages.segment.network.range_image import COLUMNS
 
 
 def test_shown_points_take_their_pixel_and_hidden_ones_their_like() -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.labels import GROUND, MOVABLE, OTHER
-from salpcc.stages.segment.network.range_image import RANGE, project
+from salpcc.stages.segment.network.projection import project
+from salpcc.stages.segment.network.range_image import RANGE
 from salpcc.stages.segment.objects import connected, judge_objects, objects_of
 from salpcc.stages.segment.registration import as_pose
 from salpcc.stages.segment.segmenter import Segmentation

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from salpcc.schemas.labels import OTHER
-from salpcc.stages.segment.network.range_image import project
+from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.registration import as_pose, steps_between
 from salpcc.stages.segment.segmenter import Segmentation
 

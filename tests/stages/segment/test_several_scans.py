@@ -3,7 +3,7 @@
 import numpy as np
 
 from salpcc.schemas.labels import MOVABLE, OTHER
-from salpcc.stages.segment.network.range_image import project
+from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.registration import as_pose
 from salpcc.stages.segment.segmenter import Segmentation
 from salpcc.stages.segment.several_scans import agree, pose_between

@@ -4,7 +4,7 @@ import numpy as np
 
 from salpcc.schemas.labels import MOVABLE, OTHER
 from salpcc.stages.evaluate.studies.reliability import calibration_error, reliability
-from salpcc.stages.segment.network.range_image import project
+from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.segmenter import Segmentation
 
 

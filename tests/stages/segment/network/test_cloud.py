@@ -7,7 +7,7 @@ from salpcc.stages.segment.network.cloud import Cloud
 from salpcc.stages.segment.network.fused import FusedNetwork
 from salpcc.stages.segment.network.inputs import as_tensors, cloud_input
 from salpcc.stages.segment.network.multimodal import NetworkConfig, SegmentNetwork
-from salpcc.stages.segment.network.range_image import project
+from salpcc.stages.segment.network.projection import project
 
 
 def test_against_the_trained_one(make_scan) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from salpcc.stages.segment.network.features import CHANNELS, pixel_features
-from salpcc.stages.segment.network.range_image import project
+from salpcc.stages.segment.network.projection import project
 
 
 def _ring(height: float) -> np.ndarray:

@@ -7,7 +7,7 @@ from salpcc.stages.segment.network.fused import SEAM, FusedNetwork
 from salpcc.stages.segment.network.inputs import network_input, stack
 from salpcc.stages.segment.network.multimodal import NetworkConfig, SegmentNetwork
 from salpcc.stages.segment.network.point_branch import PointTensors
-from salpcc.stages.segment.network.range_image import project
+from salpcc.stages.segment.network.projection import project
 
 FOLDED = NetworkConfig("folded", 4, 16, 8, 2, (8, 8, 8), 64, 8, (8, 12, 16), 2)
 PLAIN = NetworkConfig("plain", 1, 8, 4, 1, (8, 12, 8), 64, 8, (8, 8), 1)

@@ -16,7 +16,7 @@ from salpcc.stages.segment.network.multimodal import (
     unfold_columns,
 )
 from salpcc.stages.segment.network.point_branch import PointBranch
-from salpcc.stages.segment.network.range_image import project
+from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.weights_file import WeightsError, weights_digest, weights_path
 
 TINY = NetworkConfig("tiny", 2, 8, 4, 1, (8, 8, 8), 64, 8, (8, 8), 1)

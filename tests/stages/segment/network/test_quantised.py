@@ -7,8 +7,9 @@ import torch
 from salpcc.stages.segment.network.fused import FusedNetwork
 from salpcc.stages.segment.network.inputs import network_input, stack
 from salpcc.stages.segment.network.multimodal import NetworkConfig, SegmentNetwork
+from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.network.quantised import QuantisedNetwork, _Bytes, _Spread, _Sums, for_labelling
-from salpcc.stages.segment.network.range_image import INTENSITY, project
+from salpcc.stages.segment.network.range_image import INTENSITY
 
 SMALL = NetworkConfig("folded", 4, 16, 8, 2, (8, 8, 8), 64, 16, (16, 24, 32), 2)
 
@@ -23,7 +24,8 @@ needs_vnni = pytest.mark.skipif(not _able(), reason="this CPU adds up no product
 @pytest.fixture
 def seen(make_scan) -> tuple[SegmentNetwork, np.ndarray]:
     """A network whose batch norms know what comes, as training leaves them, and planes."""
-    planes = project(make_scan().points, make_scan().intensity).planes[:, :, :256].copy()
+    scan = make_scan(stride=1)
+    planes = project(scan.points, scan.intensity).planes[:, :, :256].copy()
     torch.manual_seed(1)
     network = SegmentNetwork(SMALL)
     for module in network.modules():

@@ -4,7 +4,8 @@ import numpy as np
 
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep, source_places
-from salpcc.stages.segment.network.range_image import COLUMNS, INTENSITY, RANGE, project, wrapped
+from salpcc.stages.segment.network.projection import project
+from salpcc.stages.segment.network.range_image import COLUMNS, INTENSITY, RANGE, wrapped
 
 
 def test_rows_are_the_lasers_of_the_lattice(make_scan, sensor) -> None:

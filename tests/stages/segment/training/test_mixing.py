@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from salpcc.stages.segment.network.range_image import COLUMNS, RANGE, Z, project
+from salpcc.stages.segment.network.projection import project
+from salpcc.stages.segment.network.range_image import COLUMNS, RANGE, Z
 from salpcc.stages.segment.training.crops import Crop, cut, distort, mirror
 from salpcc.stages.segment.training.labelled import LabelledImage
 from salpcc.stages.segment.training.scan_mixing import instances_of, mix, paste
