@@ -42,7 +42,7 @@ def test_fewer_rings_see_what_all_would(every: int, columns: int) -> None:
     off = np.abs(got.planes[:, both] - wanted.planes[:, both])
     near = wanted.planes[RANGE][both] < 30
     assert (off[RANGE] < 0.02 * wanted.planes[RANGE][both])[near].mean() > 0.9
-    assert (off[HEIGHT] < 0.05)[near].mean() > 0.9
+    assert (off[HEIGHT] < 0.1)[near].mean() > 0.9
     assert (got.planes[:, ~filled] == 0).all()
 
 

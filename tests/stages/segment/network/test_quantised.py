@@ -26,6 +26,7 @@ def seen(make_scan) -> tuple[SegmentNetwork, np.ndarray]:
     """A network whose batch norms know what comes, as training leaves them, and planes."""
     scan = make_scan(stride=1)
     planes = project(scan.points, scan.intensity).planes[:, :, :256].copy()
+    planes[:, :, np.arange(256) % 4 > 0] = 0
     torch.manual_seed(1)
     network = SegmentNetwork(SMALL)
     for module in network.modules():
