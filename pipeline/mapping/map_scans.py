@@ -18,7 +18,7 @@ from salpcc.schemas.work import ShardRef, digest_of
 from salpcc.stages.mapping.config import MapConfig
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 
-VERSION = 1
+VERSION = 2
 WEIGHTS = "small"
 _CLASSES = pa.schema([("class", pa.uint8())])
 

@@ -160,22 +160,35 @@ def _found(counts: NDArray[np.int64]) -> dict[str, float]:
     return shares
 
 
-def _fold(text: str) -> tuple[str, Path]:
-    names, _, weights = text.partition("=")
-    if not weights:
-        raise UsageError(f"{text}: SEQUENCES=WEIGHTS is wanted, such as 06=small")
-    return names, weights_path(weights)
+def folds_of(texts: Sequence[str]) -> list[tuple[str, Path]]:
+    """Return sequences and weights of folds written as ``SEQUENCES=WEIGHTS``.
+
+    Raises:
+        UsageError: one is written otherwise.
+        WeightsError: weights cannot be had.
+    """
+    folds = []
+    for text in texts:
+        names, _, weights = text.partition("=")
+        if not weights:
+            raise UsageError(f"{text}: SEQUENCES=WEIGHTS is wanted, such as 06=small")
+        folds.append((names, weights_path(weights)))
+    return folds
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, write the record ``ablations`` of OUT, print it."""
-    parser = argparse.ArgumentParser(description=STUDY)
+def run_study(
+    title: str,
+    study: Callable[[Path, Sequence[tuple[str, Path]]], list[dict[str, Any]]],
+    arguments: Sequence[str] | None = None,
+) -> None:
+    """Measure what the command line names, write the record ``ablations`` of OUT, print it."""
+    parser = argparse.ArgumentParser(description=title)
     parser.add_argument("folds", nargs="+", metavar="SEQUENCES=WEIGHTS")
     parser.add_argument("--root", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args(arguments)
     try:
-        rows = study(options.root, [_fold(text) for text in options.folds])
+        rows = study(options.root, folds_of(options.folds))
     except SalpccError as error:
         parser.error(str(error))
     record(options.out, ablations=pa.Table.from_pylist(rows, schema=ABLATIONS))
@@ -184,4 +197,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_study(STUDY, study)

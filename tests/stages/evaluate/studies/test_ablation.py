@@ -11,6 +11,7 @@ from salpcc.schemas.config import RunConfig
 from salpcc.schemas.labels import CLASSES
 from salpcc.stages.evaluate.report import write as report
 from salpcc.stages.evaluate.studies import segment_ablation as ablation
+from salpcc.stages.evaluate.studies import segment_sensors as sensors
 from salpcc.stages.evaluate.studies.grid_frames import read_gops
 from salpcc.stages.ingest.simulator import SimulationConfig, simulate_sequence
 from salpcc.stages.ingest.stage import Projector
@@ -22,7 +23,9 @@ from salpcc.stages.segment.training.score import scores
 
 def test_the_last_variant_is_what_a_run_does(tmp_path: Path, sensor) -> None:
     simulate_sequence(SimulationConfig("00", scans=2, seed=3, scene="city"), tmp_path, sensor)
-    ablation.main(["--root", str(tmp_path), "--out", str(tmp_path / "out"), "00=small"])
+    ablation.run_study(
+        ablation.STUDY, ablation.study, ["--root", str(tmp_path), "--out", str(tmp_path / "out"), "00=small"]
+    )
     report.build(tmp_path / "out")
     rows = pq.read_table(tmp_path / "out" / "report" / "tables" / "ablation1.parquet").to_pylist()
     assert len(rows) == 6 and {row["sequence"] for row in rows} == {"00"}
@@ -48,8 +51,24 @@ def test_the_last_variant_is_what_a_run_does(tmp_path: Path, sensor) -> None:
     assert rows[-1]["ground"] == pytest.approx(expected["ground"])
 
 
+def test_other_sensors_see_fewer_points_of_the_same_scans(tmp_path: Path, sensor) -> None:
+    simulate_sequence(SimulationConfig("00", scans=1, seed=3, scene="city"), tmp_path, sensor)
+    rows = sensors.study(tmp_path, ablation.folds_of(["00=small"]))
+    movable = {row["variant"]: row["value"] for row in rows if row["measure"] == "movable"}
+    assert list(movable) == list(sensors.SENSORS)
+    recorded = movable["as recorded, 64 rings"]
+    assert recorded > 0.5
+    assert movable["intensities as counts"] == pytest.approx(recorded, abs=0.1)
+    assert movable["ground 0.8 m lower"] == pytest.approx(recorded, abs=0.1)
+    assert movable["32 rings"] > recorded - 0.3
+
+
 def test_weights_are_named_for_every_fold(tmp_path: Path, capsys) -> None:
     for word, hint in (("00", "SEQUENCES=WEIGHTS"), ("00=nowhere.safetensors", "train segment")):
         with pytest.raises(SystemExit):
-            ablation.main(["--root", str(tmp_path), "--out", str(tmp_path / "out"), word])
+            ablation.run_study(
+                ablation.STUDY,
+                ablation.study,
+                ["--root", str(tmp_path), "--out", str(tmp_path / "out"), word],
+            )
         assert hint in capsys.readouterr().err
