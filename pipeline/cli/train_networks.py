@@ -97,6 +97,12 @@ def segment(
             help="Train, too, on what these weights are sure of where --data has no labels, or boxes only.",
         ),
     ] = "",
+    any_sensor: Annotated[
+        bool,
+        typer.Option(
+            "--any-sensor", help="Train on crops as other sensors would have seen them, too, half of them."
+        ),
+    ] = False,
     seed: Annotated[int, typer.Option(help="The seed of weights and crops.")] = 0,
     every: Annotated[int, typer.Option(min=1, help="Steps between checkpoints and scores.")] = 250,
     workers: Annotated[int, typer.Option(min=0, help="Processes that make crops.")] = 1,
@@ -118,7 +124,7 @@ def segment(
     from salpcc.stages.segment.training.labelled import list_labelled, split_labelled
     from salpcc.stages.segment.training.loop import train_segment
     from salpcc.stages.segment.training.pseudo_labels import complete_labels
-    from salpcc.stages.segment.training.recipe import GOING_ON, PHASES, Recipe
+    from salpcc.stages.segment.training.recipe import GOING_ON, PHASES, Recipe, for_any_sensor
     from salpcc.stages.segment.training.score import score_table
     from salpcc.stages.segment.weights_file import weights_path
 
@@ -143,7 +149,7 @@ def segment(
         seed=seed,
         workers=workers,
         every=every,
-        phases=phases,
+        phases=for_any_sensor(phases) if any_sensor else phases,
         start=start,
         learned=learned,
     )

@@ -15,7 +15,7 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
 from salpcc.stages.segment.geometric import split_ground
-from salpcc.stages.segment.weights_file import weights_path
+from salpcc.stages.segment.weights_file import any_sensor, weights_path
 
 if TYPE_CHECKING:
     from salpcc.stages.segment.segmenter import Segmentation
@@ -64,6 +64,8 @@ def network_classes(
 ) -> list[NDArray[np.uint8]]:
     """Ask the network what the points of the scans of a group are; return the classes ``(N,)`` of each.
 
+    Clouds with other rings than the 64-laser sensor's, or without intensities, are asked of the weights for any sensor.
+
     Args:
         follows: whether each scan follows the one before it without a gap, as :func:`joined` tells.
         motions: each scan's own, or None.
@@ -73,13 +75,18 @@ def network_classes(
     """
     # Imported here: a process that asks no network has no use for torch's hundred megabytes.
     from salpcc.stages.segment.network.checkpoint import load_cached
+    from salpcc.stages.segment.network.projection import project
     from salpcc.stages.segment.network.view import view_of
-    from salpcc.stages.segment.segmenter import segment_scan
+    from salpcc.stages.segment.segmenter import segment_image
 
-    network = load_cached(weights_path(weights), device)
     clouds = [(scan.points, scan.intensity) for scan in scans]
     view = view_of(clouds)
-    found = [segment_scan(network, points, intensity, view) for points, intensity in clouds]
+    images = [project(points, intensity, view) for points, intensity in clouds]
+    path = weights_path(weights)
+    if view.unlit or not all(image.every_row for image in images):
+        path = any_sensor(path)
+    network = load_cached(path, device)
+    found = [segment_image(network, image) for image in images]
     return [one.labels() for one in judge_group(found, follows, motions, several_scans)]
 
 

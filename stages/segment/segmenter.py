@@ -18,7 +18,7 @@ from salpcc.stages.segment.network.multimodal import N_CLASSES
 from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.network.quantised import LabellingNetwork
 from salpcc.stages.segment.network.range_image import RangeImage
-from salpcc.stages.segment.network.view import AS_IT_IS, View, view_of
+from salpcc.stages.segment.network.view import view_of
 from salpcc.stages.segment.probabilities import group_probabilities
 
 F32 = NDArray[np.float32]
@@ -64,15 +64,12 @@ def _best_of_most(groups: F32, best: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return out
 
 
-def class_scores(
-    network: LabellingNetwork, points: F32, intensity: F32, view: View = AS_IT_IS
-) -> tuple[RangeImage, F32]:
-    """Run the network on points ``(N, 3)`` and intensities ``(N,)`` of one scan, of any sensor, seen as ``view`` says.
+def class_scores(network: LabellingNetwork, image: RangeImage) -> tuple[RangeImage, F32]:
+    """Run the network on a scan's range image.
 
-    Returns the range image and the logits ``(64, W, 19)`` of the classes, as trained. On one thread, so that a
+    Returns the image and the logits ``(64, W, 19)`` of the classes, as trained. On one thread, so that a
     scan gets the same labels however many workers there are.
     """
-    image = project(points, intensity, view)
     if not (image.index >= 0).any():
         return image, np.zeros((*image.index.shape, N_CLASSES), np.float32)
     with torch.inference_mode(), _one_thread():
@@ -84,15 +81,14 @@ def by_group(image: RangeImage, scores: F32, shift: F32) -> Segmentation:
     return Segmentation(image, *group_probabilities(scores, shift, image.index, GROUP_OF_CLASS))
 
 
-def segment_scan(network: LabellingNetwork, points: F32, intensity: F32, view: View) -> Segmentation:
-    """Segment one scan, its classes weighed as they occur in streets; arguments as :func:`class_scores`."""
-    image, scores = class_scores(network, points, intensity, view)
-    return by_group(image, scores, AS_IN_STREETS)
+def segment_image(network: LabellingNetwork, image: RangeImage) -> Segmentation:
+    """Segment a scan on its range image, its classes weighed as they occur in streets."""
+    return by_group(*class_scores(network, image), AS_IN_STREETS)
 
 
 def label_points(network: LabellingNetwork, points: F32, intensity: F32) -> NDArray[np.uint8]:
     """Return the class ``(N,)`` uint8 of every point of a scan."""
-    return segment_scan(network, points, intensity, view_of([(points, intensity)])).labels()
+    return segment_image(network, project(points, intensity, view_of([(points, intensity)]))).labels()
 
 
 @contextmanager

@@ -19,6 +19,16 @@ def weights_path(name: str) -> Path:
     return Path(name) if name.endswith(".safetensors") else SHIPPED / f"segment_{name}.safetensors"
 
 
+def any_sensor(path: Path) -> Path:
+    """Return the weights for clouds of other sensors that lie beside those of a file; where none do, the file itself.
+
+    >>> any_sensor(weights_path("small")).name
+    'segment_small_any.safetensors'
+    """
+    beside = path.with_stem(path.stem + "_any")
+    return beside if beside.is_file() else path
+
+
 def read_weights(path: Path) -> bytes:
     """Read the file.
 
@@ -38,9 +48,9 @@ def read_weights(path: Path) -> bytes:
 
 
 def weights_digest(path: Path) -> str:
-    """Hex SHA-256 of the file: names the shards of the runs that used it.
+    """Hex SHA-256 of the file, and of the one beside it for other sensors: names the shards of the runs that used it.
 
     Raises:
         WeightsError: it is not there.
     """
-    return hashlib.sha256(read_weights(path)).hexdigest()
+    return hashlib.sha256(b"".join(read_weights(p) for p in sorted({path, any_sensor(path)}))).hexdigest()

@@ -35,6 +35,7 @@ from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.confusion import UNLABELLED
 from salpcc.stages.segment.labelling import joined
 from salpcc.stages.segment.network.checkpoint import load_cached
+from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.network.quantised import LabellingNetwork
 from salpcc.stages.segment.objects import judge_objects
 from salpcc.stages.segment.registration import steps_between
@@ -99,9 +100,9 @@ def variants(
     network: LabellingNetwork, gop: Sequence[tuple[int, Scan]]
 ) -> Iterator[tuple[str, list[Segmentation]]]:
     """Yield the name of each variant and what it makes of the scans of a group."""
-    project = Projector(load_sensor("hdl64e"))
-    sweeps = [project(number, scan) for number, scan in gop]
-    found = [class_scores(network, scan.points, scan.intensity) for _, scan in gop]
+    to_sweep = Projector(load_sensor("hdl64e"))
+    sweeps = [to_sweep(number, scan) for number, scan in gop]
+    found = [class_scores(network, project(scan.points, scan.intensity)) for _, scan in gop]
     yield "as trained, scan by scan", [by_group(*one, np.zeros_like(AS_IN_STREETS)) for one in found]
     weighed = [by_group(*one, AS_IN_STREETS) for one in found]
     yield "class shares taken back, scan by scan", weighed

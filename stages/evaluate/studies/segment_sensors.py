@@ -73,7 +73,7 @@ def study(
             own = {sensor: np.zeros_like(total) for sensor, total in every.items()}
             for group in groups(root, sequence):
                 for sensor in SENSORS:
-                    own[sensor] += _counted(sensor, group, weights)
+                    own[sensor] += count_seen(sensor, group, weights)
             for sensor, total in own.items():
                 every[sensor] += total
             rows += _rows(sequence, own)
@@ -81,9 +81,10 @@ def study(
     return rows if len({row["sequence"] for row in rows}) == 1 else rows + _rows("all", every)
 
 
-def _counted(
+def count_seen(
     sensor: str, group: Sequence[tuple[int, Scan, NDArray[np.uint32]]], weights: Path
 ) -> NDArray[np.int64]:
+    """Return classes ``(21, 21)`` by truth and finding of a group's scans, as a sensor of :data:`SENSORS` would have seen them."""
     scans, truths = [], []
     for _, scan, labels in group:
         row = project(scan.points, scan.intensity).row

@@ -111,4 +111,4 @@ def project(points: F32, intensity: F32, view: View = AS_IT_IS, columns: int = C
         fill_between_rings(planes, index)
     steep = np.flatnonzero((row < 0) & (column >= 0))
     give_pixels(points, steep, planes, ground, row, column, distance)
-    return RangeImage(planes, index, row, column, distance)
+    return RangeImage(planes, index, row, column, distance, every_row)

@@ -37,6 +37,11 @@ class View:
     lift: float = 0.0
     brightness: float = 1.0
 
+    @property
+    def unlit(self) -> bool:
+        """Whether there are no intensities that tell anything."""
+        return self.brightness == 0
+
 
 AS_IT_IS = View()
 

@@ -21,6 +21,7 @@ from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.labelling import joined, judge_group
+from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.network.quantised import LabellingNetwork
 from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
 from salpcc.stages.segment.training.labelled import consecutive, not_movable, raw_labels, sequence_of
@@ -109,9 +110,9 @@ def join_labels(labels: NDArray[np.uint32], said: Said) -> tuple[NDArray[np.uint
 
 def _twice(network: LabellingNetwork, scan: Scan) -> Segmentation:
     """What the network says of a scan and of its mirror image, in the mean."""
-    image, scores = class_scores(network, scan.points, scan.intensity)
+    image, scores = class_scores(network, project(scan.points, scan.intensity))
     mirrored = scan.points * np.array([1, -1, 1], np.float32)
-    _, other = class_scores(network, mirrored, scan.intensity)
+    _, other = class_scores(network, project(mirrored, scan.intensity))
     mean = ((scores + other[:, ::-1]) / 2).astype(np.float32)
     return by_group(image, mean, AS_IN_STREETS)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,15 @@ PHASES = (
     Phase(),
 )
 # Of weights that know streets already: with more of what is rare set into them, then streets as they are.
-GOING_ON = (
-    Phase(0.7, SampleConfig(512, 0.3, 0.7, 5, (0.5, 0.6, 0.6), 0.3, other_sensors=0.5)),
-    Phase(samples=SampleConfig(other_sensors=0.5)),
-)
+GOING_ON = (Phase(0.7, SampleConfig(512, 0.3, 0.7, 5, (0.5, 0.6, 0.6), 0.3)), Phase())
+_OTHER_SENSORS = 0.5  # of the crops, where weights are for any sensor
+
+
+def for_any_sensor(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
+    """Return phases whose crops are those of other sensors, too."""
+    return tuple(
+        replace(phase, samples=replace(phase.samples, other_sensors=_OTHER_SENSORS)) for phase in phases
+    )
 
 
 @dataclass(frozen=True)
