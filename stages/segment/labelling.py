@@ -83,7 +83,7 @@ def network_classes(
     view = view_of(clouds)
     images = [project(points, intensity, view) for points, intensity in clouds]
     path = weights_path(weights)
-    if view.unlit or not all(image.every_row for image in images):
+    if view.unlit or any(image.filled for image in images):
         path = any_sensor(path)
     network = load_cached(path, device)
     found = [segment_image(network, image) for image in images]

@@ -56,6 +56,7 @@ SENSORS = {
     "intensities as counts": _counts,
     "no intensities": _unlit,
     "ground 0.8 m lower": _higher,
+    "64 rings, 1,024 firings a turn": _rings(1, 2),
     "32 rings": _rings(2),
     "22 rings, 1,024 firings a turn": _rings(3, 2),
     "16 rings": _rings(4),

@@ -15,23 +15,25 @@ from salpcc.stages.segment.network.range_image import HEIGHT, RANGE, X, Y, Z
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
-_FULL = (
-    0.75  # of the pixels between the highest and the lowest return of a column, in the middle of all columns
-)
+_FULL = 0.75  # share of the pixels between a column's highest and lowest return, in the middle of all columns
 _ROWS = 12  # that lie between two rings at most
 _COLUMNS = 4  # that lie between two firings at most
 _GROUND = 0.3  # metres above the ground; rings on it are far apart
-_ONE_SURFACE, _ONE_SURFACE_BY_RANGE = (
+_SURFACE, _SURFACE_BY_RANGE = (
     0.3,
     0.15,
 )  # metres between two rings on one surface, and for every metre of range
 
 
+def has_gaps(index: I32) -> bool:
+    """Tell whether rings or firings are farther apart than pixels, given the point ``(H, W)`` that each pixel shows; -1 none."""
+    return bool(_fullness(index) < _FULL) or _firing_step(index) > 1
+
+
 @njit(cache=True)
-def has_every_row(index: I32) -> bool:
-    """Tell whether rings are as close as the rows of an image are, given the point ``(H, W)`` that each pixel shows."""
+def _fullness(index: I32) -> float:
     rows, columns = index.shape
-    shares = np.empty(columns)
+    shares = np.ones(columns + 1)
     used = 0
     for b in range(columns):
         first, last, seen = rows, 0, 0
@@ -41,18 +43,12 @@ def has_every_row(index: I32) -> bool:
         if seen > 1:
             shares[used] = seen / (last - first + 1)
             used += 1
-    return used == 0 or bool(np.median(shares[:used]) > _FULL)
-
-
-def fill_between_rings(planes: F32, index: I32) -> None:
-    """Fill in planes ``(6, H, W)`` and the point ``(H, W)`` that each pixel shows, which is the nearer of the two around; -1 none."""
-    _fill_rows(planes, index, _firing_step(index))
-    _fill_columns(planes, index)
+    return np.median(shares[: max(used, 1)])
 
 
 @njit(cache=True)
 def _firing_step(index: I32) -> int:
-    """Return the number of columns from one return of a row to the next that most are apart, or one more where some are."""
+    """Return the number of columns from one return of a row to the next that most are apart."""
     rows, columns = index.shape
     apart = np.zeros(_COLUMNS + 1, np.int64)
     for a in range(rows):
@@ -62,13 +58,19 @@ def _firing_step(index: I32) -> int:
                 if b - last <= _COLUMNS:
                     apart[b - last] += 1
                 last = b
-    return min(int(np.argmax(apart)) + 1, _COLUMNS)
+    return int(np.argmax(apart))
+
+
+def fill_between_rings(planes: F32, index: I32) -> None:
+    """Fill in planes ``(6, H, W)`` and the point ``(H, W)`` that each pixel shows, which is the nearer of the two around; -1 none."""
+    _fill_rows(planes, index, min(_firing_step(index) + 1, _COLUMNS))  # and one more, where a few are
+    _fill_columns(planes, index)
 
 
 @njit(cache=True)
 def _one_surface(planes: F32, one: tuple[int, int], other: tuple[int, int]) -> bool:
     near, far = planes[RANGE, one[0], one[1]], planes[RANGE, other[0], other[1]]
-    if abs(near - far) <= _ONE_SURFACE + _ONE_SURFACE_BY_RANGE * min(near, far):
+    if abs(near - far) <= _SURFACE + _SURFACE_BY_RANGE * min(near, far):
         return True
     return max(planes[HEIGHT, one[0], one[1]], planes[HEIGHT, other[0], other[1]]) < _GROUND
 

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.network.between_rings import fill_between_rings, has_every_row
+from salpcc.stages.segment.network.between_rings import fill_between_rings, has_gaps
 from salpcc.stages.segment.network.beyond_rows import give_pixels
 from salpcc.stages.segment.network.ground_height import ground_surface, put_heights
 from salpcc.stages.segment.network.range_image import (
@@ -29,8 +29,8 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
-_ABOVE, _BELOW = 1.0, 1.0  # degrees beyond the outermost cones that are still theirs;
-_BELOW_OWN = 5.5  # near the network's own sensor, compensated and raw, points lie lower
+_BEYOND = 1.0  # degrees above and below the outermost cones that are still theirs;
+_BELOW_OWN = 5.5  # near the 64-laser sensor points lie lower, compensated and raw
 
 
 @njit(cache=True)
@@ -96,19 +96,18 @@ def project(points: F32, intensity: F32, view: View = AS_IT_IS, columns: int = C
     with np.errstate(all="ignore"):
         azimuth = np.arctan2(points[:, 1], points[:, 0])
     tangent = np.tan(cones.theta)
-    highest = np.tan(cones.theta[0] + np.radians(_ABOVE))
-    below = np.tan(cones.theta[-1] - np.radians([_BELOW_OWN, _BELOW]))
-    row, column, distance, index = _pixels(points, azimuth, tangent, cones.z0, (highest, below[0]), columns)
-    every_row = has_every_row(index)
-    if not every_row:
-        row, column, distance, index = _pixels(
-            points, azimuth, tangent, cones.z0, (highest, below[1]), columns
-        )
+    highest = np.tan(cones.theta[0] + np.radians(_BEYOND))
+    for beyond in (_BELOW_OWN, _BEYOND):
+        steepest = highest, np.tan(cones.theta[-1] - np.radians(beyond))
+        row, column, distance, index = _pixels(points, azimuth, tangent, cones.z0, steepest, columns)
+        gaps = has_gaps(index)
+        if not gaps:
+            break
     planes = _shown(points, np.asarray(intensity, np.float32) * np.float32(view.brightness), distance, index)
     ground = ground_surface(points, in_reach(points))
     put_heights(planes[HEIGHT], points, index, ground)
-    if not every_row:
+    if gaps:
         fill_between_rings(planes, index)
     steep = np.flatnonzero((row < 0) & (column >= 0))
     give_pixels(points, steep, planes, ground, row, column, distance)
-    return RangeImage(planes, index, row, column, distance, every_row)
+    return RangeImage(planes, index, row, column, distance, gaps)

@@ -33,7 +33,7 @@ class RangeImage:
             the nearer one), -1 if none.
         row, column: ``(N,)`` int32, the pixel of each point, -1 for points that have none (NaN, origin, steep ones).
         distance: ``(N,)`` float32, the range of each point that has a pixel; of steep ones that of the pixel.
-        every_row: whether rings are as close as rows, as the 64-laser sensor's are; else what lies between them is filled.
+        filled: whether there were gaps between rings or firings, which the 64-laser sensor does not have.
     """
 
     planes: F32
@@ -41,7 +41,7 @@ class RangeImage:
     row: NDArray[np.int32]
     column: NDArray[np.int32]
     distance: F32
-    every_row: bool
+    filled: bool
 
     @cached_property
     def places(self) -> F32:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from salpcc.stages.segment.network.between_rings import fill_between_rings, has_every_row
+from salpcc.stages.segment.network.between_rings import fill_between_rings, has_gaps
 from salpcc.stages.segment.network.range_image import INTENSITY, RANGE
 from salpcc.stages.segment.training.crops import Crop
 
@@ -17,7 +17,7 @@ _UNLIT = 0.4  # share of these crops that have no intensities
 
 def as_other_sensor(crop: Crop, rng: np.random.Generator) -> Crop:
     """Take rings, firings or intensities from a crop at random, and fill it as clouds of other sensors are filled."""
-    planes, classes = crop.planes.copy(), crop.classes.copy()
+    planes = crop.planes.copy()
     if rng.random() < _UNLIT:
         planes[INTENSITY] = 0.0
     rings, firings = int(rng.choice(_RINGS)), int(rng.choice(_FIRINGS))
@@ -30,7 +30,8 @@ def as_other_sensor(crop: Crop, rng: np.random.Generator) -> Crop:
     kept &= planes[RANGE] > 0
     planes[:, ~kept] = 0.0
     shown = np.where(kept, np.arange(rows * columns, dtype=np.int32).reshape(rows, columns), np.int32(-1))
-    if not has_every_row(shown):
+    if has_gaps(shown):
         fill_between_rings(planes, shown)
-    classes = np.where(shown >= 0, crop.classes.ravel()[shown], np.uint8(0))
-    return replace(crop, planes=planes, classes=classes)
+    return replace(
+        crop, planes=planes, classes=np.where(shown >= 0, crop.classes.ravel()[shown], np.uint8(0))
+    )

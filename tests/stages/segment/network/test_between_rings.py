@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.network.between_rings import fill_between_rings, has_every_row
+from salpcc.stages.segment.network.between_rings import fill_between_rings, has_gaps
 from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.network.range_image import COLUMNS, HEIGHT, RANGE, X, Z
 
@@ -26,12 +26,12 @@ def _street(every: int, columns: int = COLUMNS) -> np.ndarray:
 def test_a_sensor_with_every_row_keeps_its_image() -> None:
     points = _street(1)
     image = project(points, np.zeros(len(points), np.float32))
-    assert has_every_row(image.index)
+    assert not has_gaps(image.index) and not image.filled
     shown = image.index[image.index >= 0]
     assert len(np.unique(shown)) == len(shown)
 
 
-@pytest.mark.parametrize(("every", "columns"), [(2, COLUMNS), (4, COLUMNS), (3, 1024), (3, 1800)])
+@pytest.mark.parametrize(("every", "columns"), [(2, COLUMNS), (4, COLUMNS), (1, 1024), (3, 1024), (3, 1800)])
 def test_fewer_rings_see_what_all_would(every: int, columns: int) -> None:
     whole, few = _street(1), _street(every, columns)
     wanted = project(whole, np.zeros(len(whole), np.float32))
@@ -51,7 +51,7 @@ def test_a_gap_in_depth_is_not_bridged() -> None:
     planes[RANGE, 0], planes[X, 0], index[0] = 40, 40, [0, 1, 2, 3]
     planes[RANGE, 8], planes[X, 8], index[8] = 8, 8, [4, 5, 6, 7]
     planes[HEIGHT] = 2
-    assert not has_every_row(index)
+    assert has_gaps(index)
     fill_between_rings(planes, index)
     assert sorted(set(planes[RANGE].ravel().tolist())) == [8, 40]
     assert index[3].tolist() == [0, 1, 2, 3] and index[5].tolist() == [4, 5, 6, 7]
