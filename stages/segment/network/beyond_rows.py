@@ -29,21 +29,29 @@ def give_pixels(
     Those that belong to none keep row -1.
     """
     _, rows, columns = planes.shape
+    places = np.empty((columns, rows, 5), np.float32)  # a column lies together
+    for a in range(rows):
+        for b in range(columns):
+            places[b, a, 0], places[b, a, 1], places[b, a, 2] = (
+                planes[X, a, b],
+                planes[Y, a, b],
+                planes[Z, a, b],
+            )
+            places[b, a, 3], places[b, a, 4] = planes[RANGE, a, b], planes[HEIGHT, a, b]
     for i in beyond:
         x, y, z = points[i]
-        height = height_above(points[i], ground)
-        spot = _SPOT + _SPOT_BY_RANGE * np.sqrt(x * x + y * y)
-        best = np.float32(np.inf)
+        ground_like = height_above(points[i], ground) < _GROUND
+        spot = np.float32(_SPOT + _SPOT_BY_RANGE * np.sqrt(x * x + y * y)) ** 2
+        best = np.float32(np.inf)  # squares of metres in the plane
         centre = column[i]
         for step in (0, -1, 1):
             b = wrapped(centre + step, columns)
             for a in range(rows):
-                if planes[RANGE, a, b] == 0:
+                dx, dy = places[b, a, 0] - x, places[b, a, 1] - y
+                off = dx * dx + dy * dy
+                if off >= best or places[b, a, 3] == 0:
                     continue
-                dx, dy = planes[X, a, b] - x, planes[Y, a, b] - y
-                off = np.sqrt(dx * dx + dy * dy)
-                level = height < _GROUND and planes[HEIGHT, a, b] < _GROUND
-                upright = off < spot and abs(planes[Z, a, b] - z) < _UPRIGHT
-                if off < best and (level or upright):
+                level = ground_like and places[b, a, 4] < _GROUND
+                if level or (off < spot and abs(places[b, a, 2] - z) < _UPRIGHT):
                     best = off
-                    row[i], column[i], distance[i] = a, b, planes[RANGE, a, b]
+                    row[i], column[i], distance[i] = a, b, places[b, a, 3]
