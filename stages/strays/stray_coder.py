@@ -181,7 +181,6 @@ def plan(
         return found
     layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes, like)
     rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
-    timed = None
     if exact and all_lanes is not None and among is not None and beside:
         timed = _timed_among(points, all_lanes, among, form, per, turning, learned)
         if timed is not None and rays.take_more_than(len(timed[0])):
@@ -338,17 +337,17 @@ def decode_strays(
     if begin > len(data) or not known or per == 0 or (form == ALONG and step == 0.0):
         return nothing
     body = np.ascontiguousarray(data[begin:])
-    rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data[_HEAD.size : begin]))
-    places = np.cumsum(rows[:, 0] + 1) - 1
-    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists, among, places)
+    told = np.ascontiguousarray(data[_HEAD.size : begin])
+    given = _Given(n, (left, up), per, max_error, body, sensor, motion, lists, among, told)
     found = row.read(given) if row else _Read(*read_points(n, (left, up), form, per, step, body))
     if found.places is not None:
         return found.places, found.points, found.told, found.sound
-    return places, found.points, found.told, bool(sound and found.sound)
+    places, sound = given.places()
+    return places, found.points, found.told, sound and found.sound
 
 
 class _Given(NamedTuple):
-    """What a reader of points is given: how many, layout and units of corrections, their bytes, and what :func:`decode_strays` was given."""
+    """What a reader of points is given: how many, layout and units of corrections, their bytes, what :func:`decode_strays` was given, and the bytes of their places."""
 
     n: int
     layout: Layout
@@ -359,7 +358,12 @@ class _Given(NamedTuple):
     motion: Motion
     lists: LearnedLists | None
     among: Among | None
-    places: NDArray[np.int64]
+    told: NDArray[np.uint8]
+
+    def places(self) -> tuple[NDArray[np.int64], bool]:
+        """Read the places ``(n,)`` of points that are told apart from them, and whether the data made sense."""
+        rows, sound = decode_integers(self.n, 1, integer_model(1), self.told)
+        return np.cumsum(rows[:, 0] + 1) - 1, bool(sound)
 
     def rest(self, n: int, data: NDArray[np.uint8]) -> tuple[F32, bool]:
         """Read the ``n`` points off the lattice."""
@@ -411,17 +415,18 @@ def _read_timed(given: _Given) -> _Read:
 
 
 def _read_timed_among(given: _Given) -> _Read:
-    among, places = given.among, given.places
+    among = given.among
     told = among.timed() if among is not None and among.timed is not None and among.width == 0 else None
     if among is None or told is None:
         return _Read(np.zeros((given.n, 3), np.float32), False)
+    places, placed = given.places()
     own = np.zeros(len(among.role), np.bool_)
     own[places[(places >= 0) & (places < len(own))]] = True
     if np.count_nonzero(own) != given.n:
         return _Read(np.zeros((given.n, 3), np.float32), False)
     known = Known(~own, among.given, *told[:2])
     points, line, sound = read_timed(len(own), given.per, given.data, given.lists, known)
-    return _Read(np.ascontiguousarray(points[own]), sound, _own_line(line, own))
+    return _Read(np.ascontiguousarray(points[own]), placed and sound, _own_line(line, own), places)
 
 
 class _Form(NamedTuple):

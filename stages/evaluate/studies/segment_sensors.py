@@ -9,9 +9,8 @@ Points are taken from recorded scans, so their labels hold. The record ``ablatio
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,41 +24,33 @@ from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.training.score import count, scores
 
 STUDY = "Segmentation: scans as other sensors would have made them"
-_FIRINGS = 1024  # a turn
-_HIGHER = 0.8  # metres
+_FIRINGS = 1024  # a turn, of those that take every second one
 
 
-def _as_it_is(
-    scan: Scan, row: NDArray[np.int32], firing: NDArray[np.int64]
-) -> tuple[Scan, NDArray[np.bool_]]:
-    return scan, row >= 0
+class Sensor(NamedTuple):
+    """What of a recorded scan another sensor would have seen.
 
+    Attributes:
+        rings, firings: one row of so many, and one firing of so many.
+        unit: what an intensity of 1 is.
+        higher: metres that it rides higher.
+    """
 
-def _rings(every: int, firings: int = 1) -> Callable[..., tuple[Scan, NDArray[np.bool_]]]:
-    return lambda scan, row, firing: (scan, (row % every == 0) & (row >= 0) & (firing % firings == 0))
-
-
-def _counts(scan: Scan, row: NDArray[np.int32], firing: NDArray[np.int64]) -> tuple[Scan, NDArray[np.bool_]]:
-    return replace(scan, intensity=255 * scan.intensity), row >= 0
-
-
-def _unlit(scan: Scan, row: NDArray[np.int32], firing: NDArray[np.int64]) -> tuple[Scan, NDArray[np.bool_]]:
-    return replace(scan, intensity=np.zeros_like(scan.intensity)), row >= 0
-
-
-def _higher(scan: Scan, row: NDArray[np.int32], firing: NDArray[np.int64]) -> tuple[Scan, NDArray[np.bool_]]:
-    return replace(scan, points=scan.points - np.array([0, 0, _HIGHER], np.float32)), row >= 0
+    rings: int = 1
+    firings: int = 1
+    unit: float = 1.0
+    higher: float = 0.0
 
 
 SENSORS = {
-    "as recorded, 64 rings": _as_it_is,
-    "intensities as counts": _counts,
-    "no intensities": _unlit,
-    "ground 0.8 m lower": _higher,
-    "64 rings, 1,024 firings a turn": _rings(1, 2),
-    "32 rings": _rings(2),
-    "22 rings, 1,024 firings a turn": _rings(3, 2),
-    "16 rings": _rings(4),
+    "as recorded, 64 rings": Sensor(),
+    "intensities as counts": Sensor(unit=255),
+    "no intensities": Sensor(unit=0),
+    "ground 0.8 m lower": Sensor(higher=0.8),
+    "64 rings, 1,024 firings a turn": Sensor(firings=2),
+    "32 rings": Sensor(rings=2),
+    "22 rings, 1,024 firings a turn": Sensor(rings=3, firings=2),
+    "16 rings": Sensor(rings=4),
 }
 
 
@@ -86,25 +77,24 @@ def count_seen(
     sensor: str, group: Sequence[tuple[int, Scan, NDArray[np.uint32]]], weights: Path
 ) -> NDArray[np.int64]:
     """Return classes ``(21, 21)`` by truth and finding of a group's scans, as a sensor of :data:`SENSORS` would have seen them."""
-    scans, truths = [], []
+    seen, scans, truths = SENSORS[sensor], [], []
     for _, scan, labels in group:
         row = project(scan.points, scan.intensity).row
-        firing = np.floor(np.arctan2(scan.points[:, 1], scan.points[:, 0]) * (_FIRINGS / np.pi)).astype(
-            np.int64
-        )
-        seen, kept = SENSORS[sensor](scan, row, firing)
-        scans.append(Scan(seen.name, seen.points[kept], seen.intensity[kept], seen.time))
+        turned = np.arctan2(scan.points[:, 1], scan.points[:, 0]) * (_FIRINGS / np.pi)
+        kept = (row >= 0) & (row % seen.rings == 0) & (np.floor(turned).astype(np.int64) % seen.firings == 0)
+        points = scan.points[kept] - np.array([0, 0, seen.higher], np.float32)
+        scans.append(Scan(scan.name, points, scan.intensity[kept] * np.float32(seen.unit), scan.time))
         truths.append(labels[kept])
     found = network_classes(scans, joined(scans), [None] * len(scans), str(weights))
     return np.sum([count(truth, classes) for truth, classes in zip(truths, found, strict=True)], axis=0)
 
 
 def _rows(sequence: str, totals: dict[str, NDArray[np.int64]]) -> list[dict[str, Any]]:
+    found = {sensor: scores(total) for sensor, total in totals.items()}
     return [
-        {"study": STUDY, "sequence": sequence, "variant": sensor, "measure": name, "value": value}
-        for sensor, total in totals.items()
+        {"study": STUDY, "sequence": sequence, "variant": sensor, "measure": name, "value": own[key]}
+        for sensor, own in found.items()
         for key, name in MEASURES.items()
-        for value in [scores(total)[key]]
     ]
 
 

@@ -54,13 +54,19 @@ def points_beside(static: Sweep | None) -> NDArray[np.float32] | None:
     return np.ascontiguousarray(static.stray_points[:, :3])
 
 
+def _lanes_of(cloud: Cloud | None) -> NDArray[np.uint8] | None:
+    """Return the laser ``(N,)`` that a message tells of each point; None where it tells none, or more than bytes do."""
+    rings = None if cloud is None else cloud.rings()
+    return None if rings is None or rings.max(initial=0) > 255 else rings.astype(np.uint8)
+
+
 def timed_beside(
     static: Sweep | None, own: Cloud | None = None
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]] | None:
     """Return lasers and times ``(T,)`` that the message of a static layer tells, and the times that ``own`` tells, from the same origin; None where it tells none."""
     cloud = None if static is None else static.cloud
-    rings = None if cloud is None else cloud.rings()
-    if cloud is None or cloud.time_field is None or rings is None or rings.max(initial=0) > 255:
+    lanes = _lanes_of(cloud)
+    if cloud is None or cloud.time_field is None or lanes is None:
         return None
     spans = spans_of(cloud.values(cloud.time_field))
     if spans is None:
@@ -71,7 +77,7 @@ def timed_beside(
         if theirs is None:
             return None
         times = theirs.low
-    return rings.astype(np.uint8), spans.low, times
+    return lanes, spans.low, times
 
 
 @dataclass
@@ -129,9 +135,8 @@ class Encoding:
         sweep = self.sweep
         # Of points without a lattice, by their place in the list, which a movable layer's have not.
         moved = sweep.motion if len(sweep.laser) == 0 and self.static is None else None
-        rings = None if sweep.cloud is None else self.listed.cloud.rings()  # type: ignore[union-attr]
-        fits = rings is not None and rings.max(initial=0) <= 255
-        lanes = rings[self.listed.stray_index].astype(np.uint8) if fits else None  # type: ignore[index]
+        listed = _lanes_of(self.listed.cloud)
+        lanes = None if listed is None else listed[self.listed.stray_index]
         times = None
         if sweep.cloud is not None and len(sweep.laser) == 0 and self.state.timeless < _PATIENCE:
             times = times_of(self.listed.cloud)  # type: ignore[arg-type]
@@ -140,9 +145,7 @@ class Encoding:
             width = 1 if sweep.cloud is None else sweep.cloud.layout.width
             among = among_source(sweep.n_points, sweep.source, self.static, width)
         elif self.layered is not None and beside is not None and len(sweep.laser) == 0:
-            timed = partial(
-                timed_beside, self.static, None if self.listed.cloud is None else self.listed.cloud
-            )
+            timed = partial(timed_beside, self.static, self.listed.cloud)
             among = Among.of_list(len(sweep), beside, self.layered.movable, timed)
         found = plan(
             sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,

@@ -19,10 +19,7 @@ _FULL = 0.75  # share of the pixels between a column's highest and lowest return
 _ROWS = 12  # that lie between two rings at most
 _COLUMNS = 4  # that lie between two firings at most
 _GROUND = 0.3  # metres above the ground; rings on it are far apart
-_SURFACE, _SURFACE_BY_RANGE = (
-    0.3,
-    0.15,
-)  # metres between two rings on one surface, and for every metre of range
+_SURFACE, _SURFACE_BY_RANGE = 0.3, 0.15  # metres between rings on one surface, and for every metre of range
 
 
 def has_gaps(index: I32) -> bool:

@@ -29,15 +29,7 @@ def give_pixels(
     Those that belong to none keep row -1.
     """
     _, rows, columns = planes.shape
-    places = np.empty((columns, rows, 5), np.float32)  # a column lies together
-    for a in range(rows):
-        for b in range(columns):
-            places[b, a, 0], places[b, a, 1], places[b, a, 2] = (
-                planes[X, a, b],
-                planes[Y, a, b],
-                planes[Z, a, b],
-            )
-            places[b, a, 3], places[b, a, 4] = planes[RANGE, a, b], planes[HEIGHT, a, b]
+    places = np.ascontiguousarray(planes.transpose(2, 1, 0))  # a column lies together
     for i in beyond:
         x, y, z = points[i]
         ground_like = height_above(points[i], ground) < _GROUND
@@ -47,11 +39,11 @@ def give_pixels(
         for step in (0, -1, 1):
             b = wrapped(centre + step, columns)
             for a in range(rows):
-                dx, dy = places[b, a, 0] - x, places[b, a, 1] - y
+                dx, dy = places[b, a, X] - x, places[b, a, Y] - y
                 off = dx * dx + dy * dy
-                if off >= best or places[b, a, 3] == 0:
+                if off >= best or places[b, a, RANGE] == 0:
                     continue
-                level = ground_like and places[b, a, 4] < _GROUND
-                if level or (off < spot and abs(places[b, a, 2] - z) < _UPRIGHT):
+                level = ground_like and places[b, a, HEIGHT] < _GROUND
+                if level or (off < spot and abs(places[b, a, Z] - z) < _UPRIGHT):
                     best = off
-                    row[i], column[i], distance[i] = a, b, places[b, a, 3]
+                    row[i], column[i], distance[i] = a, b, places[b, a, RANGE]

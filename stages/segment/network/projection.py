@@ -23,7 +23,7 @@ from salpcc.stages.segment.network.range_image import (
     RangeImage,
     nearest_cone,
 )
-from salpcc.stages.segment.network.view import AS_IT_IS, View, in_reach
+from salpcc.stages.segment.network.view import AS_IT_IS, View
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -39,7 +39,7 @@ def _pixels(
 ) -> tuple[I32, I32, F32, I32]:
     """Return row, column and distance ``(N,)`` of each point, and the point ``(H, W)`` that each pixel shows.
 
-    Points steeper than the tangents ``steepest``, at the top and at the bottom, have no row.
+    What is no return has no column. Points steeper than the tangents ``steepest``, at the top and at the bottom, have no row.
     """
     row = np.full(len(points), -1, np.int32)
     column = np.full(len(points), -1, np.int32)
@@ -104,7 +104,7 @@ def project(points: F32, intensity: F32, view: View = AS_IT_IS, columns: int = C
         if not gaps:
             break
     planes = _shown(points, np.asarray(intensity, np.float32) * np.float32(view.brightness), distance, index)
-    ground = ground_surface(points, in_reach(points))
+    ground = ground_surface(points, column >= 0)
     put_heights(planes[HEIGHT], points, index, ground)
     if gaps:
         fill_between_rings(planes, index)

@@ -68,6 +68,12 @@ def wrapped(column: int, columns: int) -> int:
     return column - columns if column >= columns else column
 
 
+@njit(cache=True, inline="always")
+def in_reach(x: float, y: float, z: float) -> bool:
+    """Tell whether a point is a return: those that are NaN, at the origin or too far away are none."""
+    return NEAREST**2 < x * x + y * y + z * z < FARTHEST**2  # NaN fails both
+
+
 @njit(cache=True)
 def nearest_cone(x: float, y: float, z: float, tangent: F64, z0: F64, start: int) -> int:
     """Return the row of the cone that a point is vertically nearest to; -1 out of reach.
@@ -75,10 +81,9 @@ def nearest_cone(x: float, y: float, z: float, tangent: F64, z0: F64, start: int
     ``start`` is where to look first, such as the row of the point before.
     """
     x, y, z = np.float64(x), np.float64(y), np.float64(z)
-    square = x * x + y * y
-    if not NEAREST**2 < square + z * z < FARTHEST**2:  # NaN fails both
+    if not in_reach(x, y, z):
         return -1
-    rho = np.sqrt(square)
+    rho = np.sqrt(x * x + y * y)
     # Cones come top to bottom, so the height of a cone at the point's distance falls with its number.
     below = max(start, 0)
     while below < len(tangent) and z0[below] + rho * tangent[below] > z:

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.segment.network.ground_height import cell_minima, opened
-from salpcc.stages.segment.network.range_image import FARTHEST, NEAREST
+from salpcc.stages.segment.network.range_image import in_reach
 
 F32 = NDArray[np.float32]
 
@@ -47,12 +47,11 @@ AS_IT_IS = View()
 
 
 @njit(cache=True)
-def in_reach(points: F32) -> NDArray[np.bool_]:
-    """Tell which points ``(N, 3)`` are returns: those that are NaN, at the origin or too far away are none."""
+def _returns(points: F32) -> NDArray[np.bool_]:
+    """Tell which points ``(N, 3)`` are returns."""
     seen = np.empty(len(points), np.bool_)
     for i in range(len(points)):
-        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        seen[i] = NEAREST**2 < x * x + y * y + z * z < FARTHEST**2
+        seen[i] = in_reach(np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2]))
     return seen
 
 
@@ -69,7 +68,7 @@ def view_of(clouds: Sequence[tuple[F32, F32]]) -> View:
 
 
 def _ground_near(points: F32) -> float | None:
-    lowest = cell_minima(points, in_reach(points), _AROUND)
+    lowest = cell_minima(points, _returns(points), _AROUND)
     seen = np.isfinite(lowest)
     return float(np.median(opened(lowest)[seen])) if seen.any() else None
 
