@@ -24,12 +24,13 @@ demo: $(VENV)/.product
 test: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(MAKE) -j 2 test-stages test-pipeline test-rest types
+	$(MAKE) -j 2 test-stages types test-rest test-pipeline
 
 types:
 	$(BIN)/mypy -p salpcc
 
 # Three processes, two at a time: a process that a native library ends is told of, which pytest-xdist waits for for ever.
+# The pipeline's comes last: by then the stages' has compiled most kernels of both.
 test-stages:
 	$(BIN)/pytest -q tests/stages tests/schemas tests/scripts
 test-pipeline:

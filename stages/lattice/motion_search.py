@@ -172,7 +172,7 @@ def _grow(points: NDArray[np.float32], starts: Iterable[F64], sector: float) -> 
                 inside = inside[distance[inside] < _NEAR]
             if len(inside) < 12:
                 break
-            chosen = inside[:: max(1, len(inside) // _POINTS_PER_ROUND)]
+            chosen = np.ascontiguousarray(inside[:: max(1, len(inside) // _POINTS_PER_ROUND)])
             motion, misfit, share = _fit(points, chosen, motion, 6)
             if misfit > _GROWING_MM or not np.isfinite(motion).all():
                 break
@@ -200,7 +200,7 @@ def solve_motion(points: NDArray[np.float32], start: F64 | None = None) -> F64 |
     Returns:
         ``(v, w)`` in metres and radians per turn, or None if no motion puts the scan on the lattice.
     """
-    thin = points[:: max(1, len(points) // _POINTS_TO_FOLLOW)]
+    thin = np.ascontiguousarray(points[:: max(1, len(points) // _POINTS_TO_FOLLOW)])
     motion = None if start is None else _grow(thin, [start], _WARM_SECTOR)
     if motion is None:
         motion = _grow(points, _guesses(), _FIRST_SECTOR)

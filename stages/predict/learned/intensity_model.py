@@ -306,10 +306,11 @@ def collect_intensity(
     """Return features and the nearest intensities (left, above) of the returns in ``keep``."""
     n = int(keep.sum())
     more = before is not None
-    x, sides = np.zeros((n, INPUTS + INTENSITY_INPUTS * more), np.int16), np.zeros((n, 2 + more), np.uint8)
+    x = np.zeros((n, INPUTS + INTENSITY_INPUTS * more), np.int16)
+    sides = np.zeros((n, 2 + more), np.float32)  # as those of ranges and NO_ROWS: the walk is compiled once
     constants = laser_constants(sensor)
     azimuth, inverse = place_rings(starts, tick, level, step, constants)
     rows = Rows(places(keep), x, sides, NO_ROWS.target)
     none = _packed(Network.empty(x.shape[1]), before)
     walk(COLLECT, starts, azimuth, inverse, intensity, constants, none, to_predict(len(keep)), rows, before)
-    return x, sides
+    return x, sides.astype(np.uint8)

@@ -7,7 +7,7 @@ little room in the cache.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,7 @@ class Rows(NamedTuple):
 
     place: NDArray[np.int64]
     inputs: NDArray[np.int16]
-    beside: NDArray[Any]
+    beside: NDArray[np.float32]
     target: NDArray[np.float32]
 
 

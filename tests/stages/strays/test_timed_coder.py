@@ -233,7 +233,7 @@ def test_odd_points_beside_a_movable_layer(merged: Listed) -> None:
     assert back.tobytes() == moving.tobytes()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(at=st.integers(0, 1 << 30), value=st.integers(0, 255), cut=st.integers(0, 1 << 30))
 def test_damage_of_a_movable_layer_ends(merged: Listed, at: int, value: int, cut: int) -> None:
     _, laser, _ = merged

@@ -280,8 +280,7 @@ def test_a_plain_processor_reads_the_same(listed, tmp_path: Path) -> None:
     environment = os.environ | {
         "NUMBA_CPU_NAME": "generic",
         "NUMBA_CPU_FEATURES": "",
-        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-    }
+    }  # numba keeps kernels by these
     command = [sys.executable, "-c", _SCRIPT, str(Path(__file__).parent), str(tmp_path / "held.npz")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "True", done.stderr
