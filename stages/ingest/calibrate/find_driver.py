@@ -55,7 +55,12 @@ def find_driver(model: SensorModel, points: F32, laser: I64) -> SensorModel | No
             continue
         for formula, sine in ((formula, sine) for formula in TURNING for sine in SINES):
             share = float(
-                np.median([_laser(points[some], d[some], formula, SINES.index(sine))[1] for some in few])
+                np.median(
+                    [
+                        _laser(points[some], d[some], formula, SINES.index(sine), _WIDEST, _HOLDS)[1]
+                        for some in few
+                    ]
+                )
             )
             if best is None or share > best[0]:
                 best = share, Driver(formula, sine, single, np.zeros((0, 4), np.float32))
@@ -92,7 +97,7 @@ def find_unit(model: SensorModel, points: F32, ring: I64 | None = None) -> Senso
     if MORE * len(known) < model.n_lasers:
         return None  # of another sensor, some of whose lasers look nearly where these do
     few = [own[k][:_FEWER] for k in known[:_CHOSEN]]
-    shares = [_laser(points[some], d[some], kind.formula, sine, _ASIDE)[1] for some in few]
+    shares = [_laser(points[some], d[some], kind.formula, sine, _ASIDE, _HOLDS)[1] for some in few]
     if len(shares) < _CHOSEN or np.median(shares) < _HOLDS:
         return None
     for k in known:
@@ -192,9 +197,12 @@ def share_identical(model: SensorModel, points: F32) -> float:
 
 
 def _laser(
-    points: F32, d: F32, formula: str, sine: int, widest: int = _WIDEST
+    points: F32, d: F32, formula: str, sine: int, widest: int = _WIDEST, least: float = 0.0
 ) -> tuple[tuple[float, ...], float]:
-    """Return the row of one laser, and the share of its points ``(N, 3)`` at ranges ``(N,)`` that it gives back; ``widest``: indices that its offset may be."""
+    """Return the row of one laser, and the share of its points ``(N, 3)`` at ranges ``(N,)`` that it gives back; ``widest``: indices that its offset may be.
+
+    Rows that give back less than the share ``least`` are not told from one another.
+    """
     if not len(points):
         return (1.0, 0.0, *FORMULAS[formula].row(sine, np.float32(0.0))), 0.0
     sin_e, _ = _elevation(points[:, 2], d)
@@ -214,7 +222,18 @@ def _laser(
     number = list(FORMULAS).index(formula)
     values = FORMULAS[formula].table(sine)
     lost, offset, cos_e = _search(
-        number, sine, values, points[part], d[part], turns[part], phase, cosines, _SAMPLE, widest, _TRIED
+        number,
+        sine,
+        values,
+        points[part],
+        d[part],
+        turns[part],
+        phase,
+        cosines,
+        _SAMPLE,
+        widest,
+        _TRIED,
+        least,
     )
     share = 1.0 - lost / len(points[part])
     return (cos_e, sin_e, *FORMULAS[formula].row(sine, np.float32(offset))), share
@@ -246,10 +265,10 @@ def _around(value: np.float32, ulps: int) -> F32:
 
 
 @njit(cache=True, error_model="numpy")
-def _search(formula, sine, values, points, d, turns, phase, cosines, few, widest, tried):  # type: ignore[no-untyped-def]
+def _search(formula, sine, values, points, d, turns, phase, cosines, few, widest, tried, least):  # type: ignore[no-untyped-def]
     """Return the fewest points lost, and the offset and cosine that lose them; offsets of few indices come first."""
     few = min(few, len(points))
-    best, best_offset, best_cosine = few + 1, np.float32(0.0), cosines[0]
+    best, best_offset, best_cosine = np.int64((1.0 - least) * few) + 1, np.float32(0.0), cosines[0]
     index = np.empty(len(points), np.int64)
     unit = 2.0 * np.pi / len(values)
     step = 2.0 * _WINDOW / tried
