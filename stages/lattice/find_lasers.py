@@ -20,7 +20,10 @@ MOST_LASERS = 256
 LEAST_POINTS = 500
 NEAREST = 0.7  # metres; less is no return, or the vehicle's own roof
 _NEAREST_NUMBERED = 0.05  # metres; where the sensor tells the laser, a roof is as good as a wall
-_LONGEST = 1 << 14  # points looked at for firings
+_LONGEST, _EVERY = (
+    1 << 14,
+    17,
+)  # points looked at for firings; of which one is, at first: a prime, so of every laser
 _FAR = 4.0  # metres; nearer points show where a laser sits instead of its elevation
 _FARTHEST = 0.75  # of the points are nearer than that in a small room, and must do
 _NARROW = (
@@ -161,15 +164,22 @@ def find_firing(points: NDArray[np.float64]) -> int:
     lags = np.arange(4, min(MOST_LASERS, len(slope) // 4) + 1)
     if len(lags) < 2:
         return 0
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # stretches without any return
-        apart = np.array([np.nanmedian(np.abs(slope[lag:] - slope[:-lag])) for lag in lags])
-    if np.isnan(apart).all():
+    few = _apart(slope, lags, _EVERY)
+    if np.isnan(few).all() or np.nanmin(few) > 0.4 * np.nanmedian(few):
         return 0
+    lags = lags[few <= 3.0 * np.nanmin(few) + 1e-3]  # of which all points are looked at
+    apart = _apart(slope, lags)
     best = int(np.nanargmin(apart))
     # Every multiple of a period is one, too; and a list of rings is alike at every lag.
     smallest = int(lags[np.flatnonzero(apart <= 1.5 * apart[best] + 1e-4)[0]])
-    return smallest if apart[best] < 0.2 * np.nanmedian(apart) else 0
+    return smallest if apart[best] < 0.2 * np.nanmedian(few) else 0
+
+
+def _apart(slope: NDArray[np.float64], lags: NDArray[np.int64], every: int = 1) -> NDArray[np.float64]:
+    """How far apart half of the slopes ``(N,)`` are from those so many places on, of each lag ``(L,)``; NaN where there are none. ``every``: places of which one is looked at."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # stretches without any return
+        return np.array([np.nanmedian(np.abs(slope[lag::every] - slope[:-lag:every])) for lag in lags])
 
 
 def _by_elevation(scans: list[Listed], nearest: float) -> list[NDArray[np.int64]]:
