@@ -149,7 +149,7 @@ def plan(
         lanes: the laser of each ``(S,)``, where the sensor tells; a guess will do.
         times: of each ``(S,)``, where they are told.
         like: the layout of the scan before, which exact points are taken to have, too, where it is a likely one.
-        turning: of the scan before, which the search for rays begins with.
+        turning: of the scan before; then rays are sought first, and from these.
         learned: of such points before, for efforts above ``fast``.
         among: where they stand in a list of two layers.
     """
@@ -161,6 +161,22 @@ def plan(
     like = like if exact else None
     among = among if motion is None else None
     beside = among is not None and len(among.given) > 0  # a static layer, which tells more than times
+
+    def rays() -> Plan:
+        layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes, like)
+        on_rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
+        if exact and all_lanes is not None and among is not None and beside:
+            timed = _timed_among(points, all_lanes, among, form, per, turning, learned)
+            if timed is not None and on_rays.take_more_than(len(timed[0])):
+                return replace(on_rays, coded=(TIMED_AMONG, *timed[:2]), turning=timed[2])
+        if exact and lanes is not None and times is not None:
+            timed = write_timed(points, lanes, times, form, per, turning, learned)
+            if timed is not None and on_rays.take_more_than(len(timed[0])):
+                return replace(on_rays, coded=(TIMED, *timed[:2]), turning=timed[2])
+        return on_rays
+
+    if turning is not None and (again := rays()).coded is not None:  # as those of the scan before were
+        return again
     moved = None
     if sensor is not None and exact and times is not None:
         moved = partial(_moved_in_time, points, form, fix, per, sensor, lanes, times, like, learned)
@@ -179,17 +195,8 @@ def plan(
         return aimed
     if moved is not None and beside and (found := moved()) is not None:
         return found
-    layout = find_layout(points, form, per, step, 0.0 if settled else max_error, lanes, like)
-    rays = Plan(points, max_error, layout, form, per, step, lanes=lanes)
-    if exact and all_lanes is not None and among is not None and beside:
-        timed = _timed_among(points, all_lanes, among, form, per, turning, learned)
-        if timed is not None and rays.take_more_than(len(timed[0])):
-            return replace(rays, coded=(TIMED_AMONG, *timed[:2]), turning=timed[2])
-    if exact and lanes is not None and times is not None:
-        timed = write_timed(points, lanes, times, form, per, turning, learned)
-        if timed is not None and rays.take_more_than(len(timed[0])):
-            return replace(rays, coded=(TIMED, *timed[:2]), turning=timed[2])
-    return min(aimed, rays, key=_size) if aimed else rays
+    rest = rays()
+    return min(aimed, rest, key=_size) if aimed and rest.coded is None else rest
 
 
 def _timed_among(

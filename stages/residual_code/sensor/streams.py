@@ -171,6 +171,7 @@ def _written_strays(scan: Encoding) -> bytes:
         if len(stream) <= _MORE * layouts[scan.topic][1] * len(index):
             return stream
         del layouts[scan.topic], scan.strays
+        scan.state.turning.pop(scan.topic, None)
         stream = encode_strays(index, scan.strays)
     layouts[scan.topic] = scan.strays.layout, len(stream) / len(index)
     return stream

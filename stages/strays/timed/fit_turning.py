@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -9,14 +11,21 @@ from numpy.typing import NDArray
 from salpcc.stages.strays.timed.turning_rays import Turning
 
 _FASTEST, _RATES = 8.0, 321  # radians from the first to the last point; tried
-_SAMPLE = 6000  # points
-_ROUNDS = 14
-_MORE_ROUNDS, _AS_GOOD = 5, 1.2  # from the rays of the scan before; times as far off as its points were
-_HOPELESS = 0.02  # radians that half of the points are off by after half of the rounds
+_SAMPLE, _FEW = 12_000, 2000  # points; of these in all rounds but the last
+_FEWEST_ROUNDS, _ROUNDS, _GAIN = (
+    4,
+    14,
+    0.97,
+)  # times as far up as before the round before; else the last one follows
+_ASIDE = (
+    0.3  # what that counts that points are aside: readers learn how turning strays, but not how elevations do
+)
+_AS_GOOD = 1.2  # times as far off as the points of the scan before were, from the rays of which rounds began
+_HOPELESS = 0.02  # radians that half of the points are off by
 _DAMPING = 1e-6
 _STEPS = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
 _OF_LASER, _OF_SENSOR = 2, 7
-_FEWEST = 10  # points of a laser
+_FEWEST_POINTS = 1500
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -35,12 +44,13 @@ def fit_turning(points: F64, laser: I64, group: I64, time: F64) -> Fitted | None
     """
     lasers, sensors = int(laser.max()) + 1, int(group[laser].max()) + 1
     sound = _sound(points)
-    if len(sound) < _SAMPLE // 4:
+    if len(sound) < _FEWEST_POINTS:
         return None
     p, k, of, t = _sample(sound, points, laser, group, time)
     azimuth = np.arctan2(p[:, 1], p[:, 0])
     numbers = np.zeros((lasers, _OF_LASER)), np.zeros((sensors, _OF_SENSOR)), np.zeros(6)
-    numbers[1][:, 6] = [_rate(azimuth[of == g], t[of == g], k[of == g], lasers) for g in range(sensors)]
+    few = [np.flatnonzero(of[:_FEW] == g) for g in range(sensors)]
+    numbers[1][:, 6] = [_rate(azimuth[own], t[own], k[own], lasers) for own in few]
     left = np.exp(1j * (azimuth - numbers[1][of, 6] * t))
     for j in np.unique(k):
         own = k == j
@@ -48,11 +58,8 @@ def fit_turning(points: F64, laser: I64, group: I64, time: F64) -> Fitted | None
             np.median(np.arctan2(p[own, 2], np.hypot(p[own, 0], p[own, 1]))),
             np.angle(left[own].mean()),
         )
-    for round_ in range(_ROUNDS):
-        numbers, half = _improved(numbers, p, k, of, t)
-        if round_ >= _ROUNDS // 2 and half > _HOPELESS:
-            return None
-    return _measured(numbers, sound, points, laser, group, time)
+    numbers, half = _fitted(numbers, p, k, of, t)
+    return None if half > _HOPELESS else _measured(numbers, sound, points, laser, group, time)
 
 
 def fit_again(points: F64, laser: I64, group: I64, time: F64, before: Fitted) -> Fitted | None:
@@ -60,14 +67,12 @@ def fit_again(points: F64, laser: I64, group: I64, time: F64, before: Fitted) ->
     turning, off = before
     lasers, sensors = int(laser.max()) + 1, int(group[laser].max()) + 1
     sound = _sound(points)
-    if len(sound) < _SAMPLE // 4 or (len(turning.lasers), len(turning.sensors)) != (lasers, sensors):
+    if len(sound) < _FEWEST_POINTS or (len(turning.lasers), len(turning.sensors)) != (lasers, sensors):
         return None
     sample = _sample(sound, points, laser, group, time)
     wide = turning.lasers.astype(np.float64), turning.sensors.astype(np.float64)
     numbers = *wide, turning.motion.astype(np.float64)
-    for _ in range(_MORE_ROUNDS):
-        numbers, _half = _improved(numbers, *sample)
-    again = _measured(numbers, sound, points, laser, group, time)
+    again = _measured(_fitted(numbers, *sample)[0], sound, points, laser, group, time)
     return again if again[1] < _AS_GOOD * off else None
 
 
@@ -83,6 +88,18 @@ def _sample(sound: I64, points: F64, laser: I64, group: I64, time: F64) -> tuple
     return points[some], laser[some], group[laser[some]], time[some]
 
 
+def _fitted(numbers: Numbers, *sample: Any) -> tuple[Numbers, float]:
+    """Numbers that rounds over a few points have improved for as long as elevations gained, then one over all; and how far off half of these were before it, radians."""
+    before, few = np.inf, [part[:_FEW] for part in sample]
+    for made in range(_ROUNDS):
+        numbers, (up, _) = _improved(numbers, *few)
+        if made >= _FEWEST_ROUNDS and up > _GAIN * before:
+            break
+        before = up
+    numbers, half = _improved(numbers, *sample)
+    return numbers, sum(half)
+
+
 def _measured(numbers: Numbers, sound: I64, points: F64, laser: I64, group: I64, time: F64) -> Fitted:
     off = _off(*numbers, points[sound], laser[sound], group[laser[sound]], time[sound], _NO_CHANGE)
     return Turning(*(part.astype(np.float32) for part in numbers)), float(np.median(np.hypot(*off)))
@@ -90,12 +107,13 @@ def _measured(numbers: Numbers, sound: I64, points: F64, laser: I64, group: I64,
 
 def _rate(azimuth: F64, time: F64, laser: I64, lasers: int) -> float:
     """The turning rate at which the azimuths of each laser stand still."""
-    rates = np.linspace(-_FASTEST, _FASTEST, _RATES)
+    rates, step = np.linspace(-_FASTEST, _FASTEST, _RATES, retstep=True)
     sharp = np.zeros(_RATES)
-    for i, rate in enumerate(rates):
-        phase = np.exp(1j * (azimuth - rate * time))
+    phase, on = np.exp(1j * (azimuth - rates[0] * time)), np.exp(-1j * step * time)
+    for i in range(_RATES):
         sums = np.bincount(laser, phase.real, lasers) + 1j * np.bincount(laser, phase.imag, lasers)
         sharp[i] = np.abs(sums).sum()
+        phase *= on
     return float(rates[sharp.argmax()])
 
 
@@ -156,8 +174,8 @@ def _normal(change: F64, at: I64, off: F64, weight: F64, size: int) -> tuple[F64
     return normal, right
 
 
-def _improved(numbers: Numbers, p: F64, k: I64, of: I64, t: F64) -> tuple[Numbers, float]:
-    """One damped Gauss-Newton step on all numbers, points that are far off counting less; and what half were off by before it."""
+def _improved(numbers: Numbers, p: F64, k: I64, of: I64, t: F64) -> tuple[Numbers, tuple[float, float]]:
+    """One damped Gauss-Newton step on all numbers, points that are far off counting less; and what half were off by before it, up and aside."""
     lasers, sensors = len(numbers[0]), len(numbers[1])
     ends = np.cumsum([_OF_LASER * lasers, _OF_SENSOR * sensors])
     off = _off(*numbers, p, k, of, t, _NO_CHANGE)
@@ -176,6 +194,7 @@ def _improved(numbers: Numbers, p: F64, k: I64, of: I64, t: F64) -> tuple[Number
     half = np.median(np.abs(off), axis=1, keepdims=True)
     scale = 3.0 * half + 1e-9
     weight = 1.0 / np.sqrt(1.0 + (off / scale) ** 2) / scale
+    weight[1] *= _ASIDE
     normal, right = _normal(change, at, off, weight, int(ends[1]) + 6)
     normal[np.diag_indices_from(normal)] += _DAMPING * np.trace(normal) / len(normal)
     first, second, third = np.split(-_solved(normal, right, int(ends[0])), ends)
@@ -185,7 +204,7 @@ def _improved(numbers: Numbers, p: F64, k: I64, of: I64, t: F64) -> tuple[Number
         of_sensor + second.reshape(-1, _OF_SENSOR),
         motion + third,
     )
-    return better, float(half.sum())
+    return better, (float(half[0, 0]), float(half[1, 0]))
 
 
 def _solved(normal: F64, right: F64, n: int) -> F64:
