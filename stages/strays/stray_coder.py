@@ -148,7 +148,7 @@ def plan(
         settled: they were snapped, if need be, and no bit may change.
         lanes: the laser of each ``(S,)``, where the sensor tells; a guess will do.
         times: of each ``(S,)``, where they are told.
-        like: the layout of the scan before, which exact points are taken to have, too, where it is a likely one.
+        like: the layout of the scan before, which exact points are taken to have, too.
         turning: of the scan before; then rays are sought first, and from these.
         learned: of such points before, for efforts above ``fast``.
         among: where they stand in a list of two layers.

@@ -68,7 +68,7 @@ def choose(
         form, per: of corrections; ALONG where an error is allowed.
         settled: the points were put there before, and no bit may change.
         s, clock: of each point ``(S,)``, and of the cloud, where the motion is by time.
-        like: the layout that is taken without a trial, where it is a likely one.
+        like: the layout that is taken without a trial.
         learned: of such points before, for efforts above ``fast``.
         among: which of the points are to be coded, where it is not all of them.
     """
@@ -86,11 +86,12 @@ def choose(
     aimed = put(points, sensor, way, reach)
     if share_on_lattice(aimed.kinds) < _LEAST_SHARE:
         return None
-    if moved is None or s is not None:
+    if like is not None and (moved is None or s is not None):
+        layouts = [like]
+    elif moved is None or s is not None:
         layouts = likely_layouts(points, lanes=among is None or among.width == 0)
         if among is not None and among.width and (1, among.width) not in layouts:
             layouts.append((1, among.width))
-        layouts = [like] if like in layouts else layouts
     ways = [replace(way, layout=layout) for layout in layouts]
     way = ways[0]
     if len(ways) > 1:

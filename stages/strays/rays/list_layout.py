@@ -48,14 +48,14 @@ def find_layout(
 
     ``tolerance`` as for :func:`ray_stream.move_points`. Points that were moved once by a layout come out best by the same, as
     all others would have to leave them loose; this is why the part that is tried stands at the beginning.
-    ``like`` is taken without a trial, where it is a likely one.
+    ``like`` is taken without a trial.
     """
+    if like is not None and len(points) >= _FEW:
+        return like
     # Lanes of points that were moved would not be quite the same.
     candidates = likely_layouts(points, lanes=form != ALONG)
     if len(candidates) == 1 or len(points) < _FEW:
         return 1, 0
-    if like is not None and like in candidates:
-        return like
     part = np.ascontiguousarray(points[:_TRIED])
     some = None if lanes is None else lanes[:_TRIED]
     out = np.empty(16 * len(part) + 4096, np.uint8)
