@@ -33,6 +33,7 @@ _LARGEST = (1 << 39) - 1  # difference that a number holds
 _CLOCK_BITS = 64
 _SAME = (0.3, 2.0, 1e9)  # of the ticks from firing to firing; the last: only lasers tell firings
 _TRIED, _FITTED, _FINALISTS = 1 << 13, 1 << 15, 2  # points, ways of telling
+_GLANCE, _NO_TIMES = 1 << 10, 4.0  # points; bits of each that other fields than times take
 _NEAR = 1.1  # of the shortest trial; others are no finalists
 _HOPELESS = 1.5  # of the bits a point that are to be beaten, in a trial
 _COUNTED = 8  # times as far apart as there are
@@ -297,11 +298,34 @@ def find_times(
     Args:
         known: ``(N,)``, which of the times a reader has.
     """
-    few, more = _first(fired, _TRIED), _first(fired, _FITTED)
-    part, fitted = slice(0, _TRIED), slice(0, _FITTED)
-    tried: list[tuple[int, Clocked]] = []
+    more = _first(fired, _FITTED)
+    fitted = slice(0, _FITTED)
+    at_first = _tried(fired, low, high, known, _GLANCE)
+    least = min((size for size, _ in at_first), default=ENDLESS) / min(_GLANCE, len(low))
+    if 8.0 * least > _NO_TIMES and least * len(low) > _HOPELESS * to_beat:
+        return None
+    tried = _tried(fired, low, high, known, _TRIED)
+    best: tuple[Clocked, bytes] | None = None
+    tried.sort(key=lambda found: found[0])
+    if not tried or tried[0][0] * len(low) > _HOPELESS * to_beat * min(_TRIED, len(low)):
+        return None
+    for size, early in tried[:_FINALISTS]:
+        if size > _NEAR * tried[0][0]:
+            break
+        # Early times are rounded least.
+        for clocked in (early, _fitted(early, more, low[fitted], high[fitted])):
+            coded = encode_times(fired, low, high, clocked, ENDLESS if best is None else len(best[1]), known)
+            if coded is not None and (best is None or len(coded) < len(best[1])):
+                best = clocked, coded
+    return best
+
+
+def _tried(fired: Fired, low: I64, high: I64, known: Mask | None, n: int) -> list[tuple[int, Clocked]]:
+    """The ways to tell times, fitted to the first ``n`` points, and the bytes that these take."""
+    few, part = _first(fired, n), slice(0, n)
+    tried = []
     for shifted in (True, False) if fired.shift.any() else (False,):
-        phase = _phase(fired, shifted)[fired.laser < fired.lasers]
+        phase = _phase(few, shifted)[few.laser < few.lasers]
         steps = np.abs((np.diff(phase) + fired.ticks // 2) % fired.ticks - fired.ticks // 2)
         pace = float(np.median(steps[steps > steps.mean()])) if (steps > steps.mean()).any() else 0.0
         for same in _SAME:
@@ -313,19 +337,7 @@ def find_times(
             )
             if coded is not None:
                 tried.append((len(coded), clocked))
-    best: tuple[Clocked, bytes] | None = None
-    tried.sort(key=lambda found: found[0])
-    if not tried or tried[0][0] * len(low) > _HOPELESS * to_beat * len(few.laser):
-        return None
-    for size, early in tried[:_FINALISTS]:
-        if size > _NEAR * tried[0][0]:
-            break
-        # Early times are rounded least.
-        for clocked in (early, _fitted(early, more, low[fitted], high[fitted])):
-            coded = encode_times(fired, low, high, clocked, ENDLESS if best is None else len(best[1]), known)
-            if coded is not None and (best is None or len(coded) < len(best[1])):
-                best = clocked, coded
-    return best
+    return tried
 
 
 def _first(fired: Fired, n: int) -> Fired:

@@ -26,7 +26,8 @@ from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import RESIDUALS, SYMBOLS, Integers, Values, flags_of
 
 _RECORD = struct.Struct("<BBBBBII")  # a _Head, length
-_SAMPLE = 1 << 16
+_SAMPLE, _TRIED = 1 << 16, 1 << 14
+_LITTLE = 0.002  # bits a value; what takes so few needs no other form
 _FEWEST = 500  # values of a field of decimals for which others are tried
 _BESIDE_AXIS = 100.0  # millimetres that ranges are from distances, where beams start beside the axis
 # What integers are measured against; the last two: by the sensor.
@@ -52,6 +53,8 @@ def encode_plain(values: Values, points: Points, base: Values | None) -> bytes:
     """Encode a field by the form and the prediction that cost least."""
     best: tuple[int, _Head, Integers] | None = None
     for form, scale, based, integers in _forms(values, points, base):
+        if best is not None and best[0] <= _LITTLE * min(len(values), _SAMPLE):
+            break
         bits_of = 64 if form == DECIMAL else 8 * values.dtype.itemsize
         wrapped = _wrap(integers, bits_of)
         for void in (0, 1) if points.void.any() else (0,):
@@ -66,10 +69,26 @@ def encode_plain(values: Values, points: Points, base: Values | None) -> bytes:
     assert best is not None
     _, head, integers = best
     coded = _as_residuals(integers, points, head, values.dtype)
+    if best[0] <= _LITTLE * min(len(values), _SAMPLE):
+        return coded
+    head = head._replace(period=_period_of_symbols(integers, points, head, values.dtype))
+    other = _as_symbols(integers, points, head, values.dtype, len(coded))
+    return coded if other is None else min(coded, other, key=len)
+
+
+def _period_of_symbols(integers: Integers, points: Points, head: _Head, kind: np.dtype[Any]) -> int:
+    """The period by which symbols take least, of those in the middle: the first may be sky."""
+    begin = max(len(integers) - _TRIED, 0) // 2
+    part, void = integers[begin : begin + _TRIED], flags_of(points, head.void)[begin : begin + _TRIED]
+    symbols = part & 255 if kind.itemsize == 1 else part
+    if symbols.min() < 0 or symbols.max() > 255:
+        return head.period
+    best, least = head.period, ENDLESS
     for period in points.periods:
-        other = _as_symbols(integers, points, head._replace(period=period), values.dtype, len(coded))
-        coded = coded if other is None else min(coded, other, key=len)
-    return coded
+        stream = encode_symbols(symbols, void, period, least)
+        if stream is not None and len(stream) < least:
+            best, least = period, len(stream)
+    return best
 
 
 def encode_plain_like(record: bytes, values: Values, points: Points, base: Values | None) -> bytes | None:
