@@ -27,8 +27,9 @@ _NEAREST = 3.0  # metres
 _SAMPLE = 6000  # points
 _ENOUGH = 100  # points of a laser that tell counts
 _SECTOR = 0.02  # turns that the counts are unwrapped from, ever more by
-_WIDER = 1.3
+_WIDER, _IN_SECTOR = 1.3, 4000  # points
 _PADDED = 1 << 15
+_LASERS = 32  # that tell the yaw, at most
 _LINE = 0.3
 _ON_LATTICE = 0.003  # metres
 _WORTH_IT = 0.05  # of the points that come onto it
@@ -189,8 +190,7 @@ def solve(points: F64, laser: I64, s: F64, lasers: int, ticks: int = 0, count: f
 
 def put_on_cones(points: F64, laser: I64, s: F64, lasers: int) -> OnCones | None:
     """Take the first step of :func:`solve`; None where points make no cones."""
-    ok = (laser >= 0) & (np.hypot(points[:, 0], points[:, 1]) > _NEAREST)
-    points, laser, s = points[ok], laser[ok], s[ok]
+    points, laser, s = _telling(points, laser, s)
     if len(points) < _SAMPLE // 10:
         return None
     found = OnCones(points, laser, s, lasers, np.zeros(6))
@@ -202,6 +202,35 @@ def put_on_cones(points: F64, laser: I64, s: F64, lasers: int) -> OnCones | None
     except np.linalg.LinAlgError:  # nothing like a turn of a sensor
         return None
     return found
+
+
+def _telling(points: F64, laser: I64, s: F64) -> tuple[F64, I64, F64]:
+    """The points ``(N, 3)`` that tell something of a motion, their lasers and places."""
+    ok = (laser >= 0) & (np.hypot(points[:, 0], points[:, 1]) > _NEAREST)
+    return points[ok], laser[ok], s[ok]
+
+
+def follow(points: F64, laser: I64, s: F64, lasers: int, before: F64, ticks: int, count: float) -> F64 | None:
+    """Take the steps of :func:`solve` from the motion ``(6,)`` of the scan before; whether what they lead to fits is for the caller to see.
+
+    The yaw is found but for ticks more from place to place: the next to that of the scan before is taken.
+    """
+    points, laser, s = _telling(points, laser, s)
+    if len(points) < _SAMPLE // 10:
+        return None
+    few = slice(None, None, len(points) // _SAMPLE + 1)
+    try:
+        motion = _by_counts(points, laser, s, lasers, before, count)
+        for _ in range(2):
+            motion = _by_cones(points[few], laser[few], s[few], lasers, motion, (3, 4))
+    except np.linalg.LinAlgError:
+        return None
+    turned = _by_ticks(undo(points, s, motion), laser, s, lasers, (ticks,))
+    if turned is None:
+        return None
+    alias = 2.0 * np.pi / ticks / float(np.min(np.diff(np.unique(s)), initial=1.0))
+    motion[5] += turned[0] - alias * np.rint(turned[0] / alias)
+    return motion
 
 
 def lock(found: OnCones, ticks: int = 0, count: float = 0.0) -> Solved | None:
@@ -273,7 +302,8 @@ def _by_counts(points: F64, laser: I64, s: F64, lasers: int, motion: F64, count:
     motion = motion.copy()
     sector = _SECTOR
     while True:
-        near = np.abs(s) < sector
+        near = np.flatnonzero(np.abs(s) < sector)
+        near = near[:: len(near) // _IN_SECTOR + 1]
         own, place, k = points[near], s[near], laser[near]
         for _ in range(4):
             raw = undo(own, place, motion)
@@ -303,7 +333,7 @@ def _by_ticks(
     for ticks in candidates:
         total = np.zeros(_PADDED)
         seen = 0
-        for k in range(lasers):
+        for k in range(0, lasers, lasers // _LASERS + 1):
             own = far & (laser == k)
             if own.sum() < 50:
                 continue

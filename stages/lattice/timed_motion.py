@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from salpcc.stages.lattice.aim import aim, lies_on
 from salpcc.stages.lattice.lattice import driven
-from salpcc.stages.lattice.list_motion import F64, FASTEST, I64, lock, put_on_cones, undo
+from salpcc.stages.lattice.list_motion import F64, FASTEST, I64, follow, lock, put_on_cones, undo
 from salpcc.stages.lattice.sensor_model import SensorModel
 
+TimedMotion = tuple[F64, float]  # and its reference
 REFERENCES = (1.0, 0.5, 0.0)
 _ROUNDS = 3
 _FEWEST_TIMES = 50
@@ -32,12 +33,17 @@ def timed_places(time: I64, reference: float) -> F64:
 
 
 def find_timed_motion(
-    points: NDArray[np.float32], sensor: SensorModel, time: I64, laser: NDArray[np.uint8] | None
-) -> tuple[F64, float] | None:
+    points: NDArray[np.float32],
+    sensor: SensorModel,
+    time: I64,
+    laser: NDArray[np.uint8] | None,
+    like: TimedMotion | None = None,
+) -> TimedMotion | None:
     """Return the motion ``(6,)`` and the reference that moved points ``(N, 3)`` of a known sensor off its lattice; None where there is none.
 
     Args:
         time: of each point ``(N,)``. ``laser``: of each, by whatever numbers; None: by the cone that is nearest.
+        like: those of the scan before, from which it is followed where that leads onto the lattice.
     """
     if lies_on(sensor, points, _STILL) or len(np.unique(time[:: len(time) // 4096 + 1])) < _FEWEST_TIMES:
         return None
@@ -47,6 +53,15 @@ def find_timed_motion(
     number = aim(sensor, wide)[0] if laser is None else laser[seen].astype(np.int64)
     few = np.sort(np.random.default_rng(0).permutation(len(wide))[:_SOLVED])
     lasers = int(number.max(initial=0)) + 1
+    if like is not None:
+        s = timed_places(time, like[1])[seen]
+        followed = follow(
+            wide[few], number[few], s[few], lasers, like[0], sensor.ticks_per_turn, sensor.count
+        )
+        if followed is not None:
+            followed, off = onto_lattice(sensor, wide, s, followed)
+            if off < 0.5 * _STILL:
+                return followed, like[1]
     best: tuple[float, F64, float] | None = None
     for reference in REFERENCES:
         s = timed_places(time, reference)[seen]
@@ -106,6 +121,7 @@ def onto_lattice(sensor: SensorModel, points: F64, s: F64, motion: F64) -> tuple
         for axis in range(3):
             jacobian[:, axis, axis] = -own
             jacobian[:, :, 3 + axis] = -own[:, None] * np.cross(np.eye(3)[axis], q)
-        step = np.linalg.lstsq(jacobian.reshape(-1, 6), (q - model).ravel(), rcond=None)[0]
+        rows = jacobian.reshape(-1, 6)
+        step = np.linalg.lstsq(rows.T @ rows, rows.T @ (q - model).ravel(), rcond=None)[0]
         motion = motion - step
     return motion, float(np.median(aim(sensor, undo(points, s, motion))[3]))

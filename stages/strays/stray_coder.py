@@ -22,7 +22,7 @@ from salpcc.stages.entropy.buffer import room_for, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
-from salpcc.stages.lattice.timed_motion import find_timed_motion, timed_places
+from salpcc.stages.lattice.timed_motion import TimedMotion, find_timed_motion, timed_places
 from salpcc.stages.strays.aimed.aimed_layers import GIVEN, OWN, Among
 from salpcc.stages.strays.aimed.aimed_strays import (
     Motion,
@@ -96,6 +96,7 @@ class Plan:
     lanes: NDArray[np.uint8] | None = None
     coded: tuple[int, bytes, Timeline] | None = None
     turning: Fitted | None = None  # of form TIMED
+    moved_by: TimedMotion | None = None  # of form MOVED
     among: Among | None = None
 
     @property
@@ -137,6 +138,7 @@ def plan(
     times: NDArray[np.int64] | None = None,
     like: Layout | None = None,
     turning: Fitted | None = None,
+    moved_by: TimedMotion | None = None,
     learned: Learned | None = None,
     among: Among | None = None,
 ) -> Plan:
@@ -150,6 +152,7 @@ def plan(
         times: of each ``(S,)``, where they are told.
         like: the layout of the scan before, which exact points are taken to have, too.
         turning: of the scan before; then rays are sought first, and from these.
+        moved_by: what moved the scan before, which a search for a motion by time begins with.
         learned: of such points before, for efforts above ``fast``.
         among: where they stand in a list of two layers.
     """
@@ -179,7 +182,7 @@ def plan(
         return again
     moved = None
     if sensor is not None and exact and times is not None:
-        moved = partial(_moved_in_time, points, form, fix, per, sensor, lanes, times, like, learned)
+        moved = partial(_moved_in_time, points, form, fix, per, sensor, lanes, times, like, moved_by, learned)
     if moved is not None and not beside and (found := moved()) is not None:
         return found
     aimed = None
@@ -234,10 +237,11 @@ def _moved_in_time(
     lanes: NDArray[np.uint8] | None,
     times: NDArray[np.int64],
     like: Layout | None,
+    moved_by: TimedMotion | None,
     learned: Learned | None,
 ) -> Plan | None:
     """Plan for points ``(S, 3)`` that a motion by time moved off the lattice; None where it is not found."""
-    found = find_timed_motion(points, sensor, times, lanes) if len(points) >= _FEWEST else None
+    found = find_timed_motion(points, sensor, times, lanes, moved_by) if len(points) >= _FEWEST else None
     if found is None:
         return None
     motion, reference = found
@@ -247,7 +251,7 @@ def _moved_in_time(
     if chosen is None or moved is None:
         return None
     layout = chosen[0].layout
-    return Plan(points, 0.0, layout, form, per, 0.0, sensor, chosen, lanes, (MOVED, *moved))
+    return Plan(points, 0.0, layout, form, per, 0.0, sensor, chosen, lanes, (MOVED, *moved), moved_by=found)
 
 
 def _rest(max_error: float) -> Callable[[F32], bytes]:

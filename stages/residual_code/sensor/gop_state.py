@@ -11,6 +11,7 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lattice.timed_motion import TimedMotion
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
 from salpcc.stages.predict.learned.shipped import EFFORTS, load_models
 from salpcc.stages.residual_code import class_coder
@@ -47,10 +48,11 @@ class GopState:
     fields: FieldModes = field(init=False)  # of recorded messages
     lists: LearnedLists = field(default_factory=LearnedLists)  # of points
     before: Sweep | None = None  # the scan decoded last
-    # An encoder's business only: layouts of lists of points by topic, with the bytes a point that they took; rays that turn; and
+    # An encoder's business only: layouts of lists of points by topic, with the bytes a point that they took; rays that turn, and motions by time; and
     # scans in a row whose points did not follow from their times.
     layouts: dict[str, tuple[Layout, float]] = field(default_factory=dict)
     turning: dict[str, Fitted] = field(default_factory=dict)
+    moved_by: dict[str, TimedMotion] = field(default_factory=dict)
     timeless: int = 0
     _values: dict[str, ValueModels] = field(default_factory=dict)
 

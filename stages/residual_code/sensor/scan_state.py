@@ -151,11 +151,14 @@ class Encoding:
             sweep.stray_points[:, :3], sweep.max_error, self.sensor, moved,
             lanes=lanes, times=times, like=self.state.layouts.get(self.topic, (None, 0.0))[0],
             turning=self.state.turning.get(self.topic),
+            moved_by=self.state.moved_by.get(self.topic),
             learned=self.state.lists.of_topic(self.topic) if self.state.learns else None,
             among=among,
         )  # fmt: skip
         if found.turning is not None:
             self.state.turning[self.topic] = found.turning
+        if found.moved_by is not None:
+            self.state.moved_by[self.topic] = found.moved_by
         if times is not None:
             self.state.timeless = 0 if found.coded is not None else self.state.timeless + 1
         return found

@@ -172,6 +172,7 @@ def _written_strays(scan: Encoding) -> bytes:
             return stream
         del layouts[scan.topic], scan.strays
         scan.state.turning.pop(scan.topic, None)
+        scan.state.moved_by.pop(scan.topic, None)
         stream = encode_strays(index, scan.strays)
     layouts[scan.topic] = scan.strays.layout, len(stream) / len(index)
     return stream

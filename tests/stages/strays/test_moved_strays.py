@@ -72,6 +72,17 @@ def test_found_and_undone_to_the_bit(sensor: SensorModel, reference: float, scal
         assert decode_field(coded, 0, values.dtype, known)[0].tobytes() == values.tobytes()
 
 
+def test_the_scan_before_leads_to_the_motion(sensor: SensorModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    points, ring, time = drive(sensor, 0.5, DRIVE)
+    changed = np.array([0.04, 0.01, -0.005, 2e-4, 1e-4, -8e-4])
+    far, _ = find_timed_motion(points, sensor, time, ring, (3.0 * DRIVE, 0.5)) or (None, None)
+    monkeypatch.setattr(timed_motion, "put_on_cones", None)  # the search of a first scan
+    near, reference = find_timed_motion(points, sensor, time, ring, (DRIVE + changed, 0.5)) or (None, None)
+    assert reference == 0.5
+    for motion in (near, far):
+        assert np.abs(motion - DRIVE).max() < 1e-6
+
+
 def test_clouds_that_stand_still_are_left_alone(sensor: SensorModel) -> None:
     points, ring, time = drive(sensor, 1.0, 0.0 * DRIVE)
     assert find_timed_motion(points, sensor, time, ring) is None
