@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -19,6 +21,16 @@ _UNROUNDED = 5e-5  # metres
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Which of points ``(N,)`` have known places on a lattice, as :func:`aim` finds them, and these: laser, tick and count ``(N,)``."""
+
+    known: NDArray[np.bool_]
+    laser: NDArray[np.uint8]
+    tick: I64
+    count: I64
 
 
 @njit(cache=True, error_model="numpy")
@@ -54,43 +66,51 @@ def _nearest(z, rho, parameters, constants, tangent, order, wide, least):  # typ
 
 
 @njit(cache=True, error_model="numpy")
-def _aim(parameters, count_size, turn, points, laser):  # type: ignore[no-untyped-def]
+def _aim(parameters, count_size, turn, points, known, laser, tick, count):  # type: ignore[no-untyped-def]
     constants = laser_constants(parameters)
     sines, cosines = turn
     ticks = len(sines)
     tangent = constants[:, 1] / constants[:, 0]
     order, wide, least = np.argsort(tangent), np.abs(parameters[:, 1]).max(), constants[:, 0].min()
-    n = len(points)
-    tick = np.zeros(n, np.int64)
-    count = np.zeros(n, np.int64)
-    off = np.full(n, np.inf)
-    for i in range(n):
+    off = np.full(len(points), np.inf)
+    for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         rho = np.sqrt(x * x + y * y)
         if not (0.0 < rho < 1e4 and abs(z) < 1e4):
-            laser[i] = -1
+            laser[i], tick[i], count[i] = -1, 0, 0
             continue
         if laser[i] < 0:
             laser[i] = _nearest(z, rho, parameters, constants, tangent, order, wide, least)
         k = laser[i]
-        t, c = project_point(x, y, z, parameters[k], constants[k], count_size, ticks)
-        tick[i], count[i] = np.int64(t) % ticks, np.int64(c)
-        a, b, d = model_point(tick[i], c, parameters[k], constants[k], count_size, sines, cosines)
+        if not known[i]:
+            t, c = project_point(x, y, z, parameters[k], constants[k], count_size, ticks)
+            tick[i], count[i] = np.int64(t) % ticks, np.int64(c)
+        a, b, d = model_point(
+            tick[i], np.float64(count[i]), parameters[k], constants[k], count_size, sines, cosines
+        )
         off[i] = np.sqrt((a - x) * (a - x) + (b - y) * (b - y) + (d - z) * (d - z))
-    return tick, count, off
+    return off
 
 
-def aim(sensor: SensorModel, points: F64, laser: I64 | None = None) -> tuple[I64, I64, I64, F64]:
+def aim(
+    sensor: SensorModel, points: F64, laser: I64 | None = None, placed: Placed | None = None
+) -> tuple[I64, I64, I64, F64]:
     """Return the nearest laser, tick and count ``(N,)`` of points ``(N, 3)`` in metres, and how far their model point is.
 
     Points that are not finite, on the axis or beyond 10 km have laser -1 and are infinitely far.
 
     Args:
         laser: ``(N,)``, where it is known; -1 where not. Without it, the laser whose cone is nearest.
+        placed: what was found of these points before.
     """
-    chosen = np.full(len(points), -1) if laser is None else laser.copy()
+    n = len(points)
+    chosen = np.full(n, -1) if laser is None else laser.copy()
+    known, tick, count = np.zeros(n, np.bool_), np.zeros(n, np.int64), np.zeros(n, np.int64)
+    if placed is not None:
+        known, tick, count = placed.known, placed.tick.copy(), placed.count.copy()
+        chosen = np.where(known, placed.laser.astype(np.int64), -1)
     turn = turn_tables(sensor.ticks_per_turn)
-    tick, count, off = _aim(sensor.parameters, sensor.count, turn, points, chosen)
+    off = _aim(sensor.parameters, sensor.count, turn, points, known, chosen, tick, count)
     return chosen, tick, count, off
 
 

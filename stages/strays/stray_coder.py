@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.buffer import room_for, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.lattice.aim import Placed
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import TimedMotion, find_timed_motion, timed_places
@@ -46,6 +47,7 @@ from salpcc.stages.strays.timed.fit_turning import Fitted
 from salpcc.stages.strays.timed.timed_strays import Known, ray_number_of, read_timed, write_timed
 from salpcc.stages.strays.timeline import Timeline
 
+Told = Timeline | Placed | None
 AIMED, TIMED, MOVED, AMONG, PLACED, TIMED_AMONG = 3, 5, 6, 7, 8, 9  # the forms after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
@@ -100,9 +102,14 @@ class Plan:
     among: Among | None = None
 
     @property
-    def told(self) -> Timeline | None:
-        """What a reader knows of the points' lasers and times."""
-        return None if self.coded is None else self.coded[2]
+    def told(self) -> Told:
+        """What a reader knows of the points' lasers and times, or of their places on the lattice."""
+        if self.coded is not None:
+            return self.coded[2]
+        if self.chosen is None or self.among is not None:
+            return None
+        way, aimed = self.chosen
+        return aimed.placed if way.exact and way.motion is None else None
 
     @cached_property
     def on_rays(self) -> tuple[int, bytes]:
@@ -330,7 +337,7 @@ def decode_strays(
     motion: Motion = None,
     lists: LearnedLists | None = None,
     among: Among | None = None,
-) -> tuple[NDArray[np.int64], F32, Timeline | None, bool]:
+) -> tuple[NDArray[np.int64], F32, Told, bool]:
     """Inverse of :func:`encode_strays`: places, points, :attr:`Plan.told`, and whether the data made sense.
 
     Sensor, motion and ``among`` are as for :func:`plan`; ``lists``: what was learned of those before.
@@ -382,11 +389,11 @@ class _Given(NamedTuple):
 
 
 class _Read(NamedTuple):
-    """What a reader returns: points, whether the data made sense, their lasers and times where they are told, and their places where these come with them."""
+    """What a reader returns: points, whether the data made sense, :attr:`Plan.told`, and their places in the list where these come with them."""
 
     points: F32
     sound: bool
-    told: Timeline | None = None
+    told: Told = None
     places: NDArray[np.int64] | None = None
 
 
@@ -394,8 +401,8 @@ def _read_aimed(given: _Given) -> _Read:
     n, layout, per, max_error, data, sensor, motion, lists, _, _ = given
     assert sensor is not None
     exact = ray_step(max_error) == 0.0
-    points, _, sound = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
-    return _Read(points, sound)
+    points, aimed, sound = read_body(n, layout, per, exact, data, sensor, motion, given.rest, lists=lists)
+    return _Read(points, sound, aimed.placed if exact and motion is None else None)
 
 
 def _read_among(given: _Given, placed: bool = False) -> _Read:

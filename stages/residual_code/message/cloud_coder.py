@@ -23,7 +23,7 @@ from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import unpacked
-from salpcc.stages.strays.timeline import Timeline
+from salpcc.stages.strays.stray_coder import Told
 
 _WHOLE, _ROS1, _CHANNEL = 1, 2, 4
 _LOOSE = 8  # of a movable layer, the loose bytes of the whole message
@@ -89,7 +89,7 @@ def decode_cloud(
     before: bytearray,
     modes: FieldModes,
     sensor: SensorModel | None = None,
-    timeline: Timeline | None = None,
+    told: Told = None,
     layered: Layered | None = None,
     source: NDArray[np.int64] | None = None,
 ) -> tuple[Cloud, NDArray[np.float32] | None, Points]:
@@ -135,7 +135,7 @@ def decode_cloud(
     if cloud.whole or flags & _LOOSE:
         raw = section[at - n_loose : at]
         cloud = replace(cloud, loose=decode_bytes(raw, layout.loose_length, bytearray()))
-    known = points_of(points, cloud, sensor, timeline, layered, source)
+    known = points_of(points, cloud, sensor, told, layered, source)
     columns = []
     for field, base in _columns(layout, points):
         if base is not None and not exact:
@@ -154,7 +154,7 @@ def points_of(
     points: NDArray[np.float32],
     cloud: Cloud,
     sensor: SensorModel | None = None,
-    timeline: Timeline | None = None,
+    told: Told = None,
     layered: Layered | None = None,
     source: NDArray[np.int64] | None = None,
 ) -> Points:
@@ -162,7 +162,7 @@ def points_of(
     layout = cloud.layout
     width = layout.width if (cloud.whole or source is not None) and layout.height > 1 else 0
     places = None if source is None else (source, layout.n_points)
-    return Points.of(points, width, sensor, timeline, layered, places)
+    return Points.of(points, width, sensor, told, layered, places)
 
 
 def _columns(layout: Layout, points: NDArray[np.float32]) -> list[tuple[Any, NDArray[np.float64] | None]]:

@@ -22,7 +22,7 @@ from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import INTENSITY, REFLECTIVITY, Points
-from salpcc.stages.strays.timeline import Timeline
+from salpcc.stages.strays.stray_coder import Told
 
 _FEW = 20  # of so many points one: a record of its own would take more than it tells
 
@@ -35,17 +35,17 @@ def intensity_is_field(sweep: Sweep, levels: NDArray[np.uint8] | None) -> bool:
 
 
 def known_of(
-    sweep: Sweep, sensor: SensorModel, timeline: Timeline | None = None, layered: Layered | None = None
+    sweep: Sweep, sensor: SensorModel, told: Told = None, layered: Layered | None = None
 ) -> tuple[Scan, Points]:
     """Return the scan of a logged sweep, and what its fields are predicted from.
 
     Args:
-        timeline: by the points' own stream.
+        told: by the points' own stream.
         layered: where the sweep is the movable layer.
     """
     assert sweep.cloud is not None
     scan = sweep_to_scan(sweep, sensor)
-    return scan, points_of(scan.points, sweep.cloud, sensor, timeline, layered, sweep.source)
+    return scan, points_of(scan.points, sweep.cloud, sensor, told, layered, sweep.source)
 
 
 def encode_intensity(sweep: Sweep, known: tuple[Scan, Points], modes: FieldModes) -> bytes:
@@ -95,7 +95,7 @@ def decode_logged(
     intensity: bytes | None,
     before: bytearray,
     modes: FieldModes,
-    timeline: Timeline | None = None,
+    told: Told = None,
     layered: Layered | None = None,
 ) -> Sweep:
     """Return a decoded sweep with its cloud; inverse of :func:`encode_logged` and :func:`encode_intensity`.
@@ -116,7 +116,7 @@ def decode_logged(
         before,
         modes,
         sensor,
-        timeline,
+        told,
         layered,
         sweep.source,
     )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.lattice.aim import aim, lies_on
+from salpcc.stages.lattice.aim import Placed, aim, lies_on
 from salpcc.stages.lattice.drivers import TURNING, measured
 from salpcc.stages.lattice.layers import Layered, merged
 from salpcc.stages.lattice.sensor_model import SensorModel
@@ -43,6 +43,7 @@ class Points:
         grid: the organised cloud that they are all, or a layer, of; None where it is none.
         sensor: whose lattice they may lie on.
         timeline: lasers and times of the points, where these are known.
+        placed: which of them have known places on the lattice.
         guide: a column ``(N,)`` int64 that the field may follow from, where one is known.
         layered: the static layer, where the points are those of the movable one.
     """
@@ -54,6 +55,7 @@ class Points:
     grid: Grid | None = None
     sensor: SensorModel | None = None
     timeline: Timeline | None = None
+    placed: Placed | None = None
     guide: NDArray[np.int64] | None = None
     layered: Layered | None = None
 
@@ -63,7 +65,7 @@ class Points:
         xyz: NDArray[np.float32],
         width: int,
         sensor: SensorModel | None = None,
-        timeline: Timeline | None = None,
+        told: Timeline | Placed | None = None,
         layered: Layered | None = None,
         source: tuple[NDArray[np.int64], int] | None = None,
     ) -> Points:
@@ -71,6 +73,7 @@ class Points:
 
         Args:
             width: of a row of an organised cloud, else 0.
+            told: timeline or places, by the points' own stream.
             source: places of a layer's points in it, and how many it has.
         """
         wide = xyz.astype(np.float64)
@@ -91,7 +94,8 @@ class Points:
                 beside = cls.of(static.stray_points[:, :3], 0)
                 layers.append((GIVEN, static.source, beside.void, beside.ranges))
             grid = Grid.of(source[1], width, layers)
-        return cls(xyz, void, ranges, periods, grid, sensor, timeline, layered=layered)
+        timeline, placed = (told, None) if not isinstance(told, Placed) else (None, told)
+        return cls(xyz, void, ranges, periods, grid, sensor, timeline, placed, layered=layered)
 
     @cached_property
     def fired(self) -> Fired | None:
@@ -104,7 +108,7 @@ class Points:
     @cached_property
     def _aimed(self) -> tuple[I64, I64, I64, F64]:
         assert self.sensor is not None
-        return aim(self.sensor, self.xyz.astype(np.float64))
+        return aim(self.sensor, self.xyz.astype(np.float64), placed=self.placed)
 
     @cached_property
     def counted(self) -> F64 | None:

@@ -27,8 +27,7 @@ from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import CLOUD, FLOAT_INTENSITY, Header
 from salpcc.stages.residual_code.sensor.value_models import ValueModels
 from salpcc.stages.strays.aimed.aimed_layers import Among
-from salpcc.stages.strays.stray_coder import Plan, plan
-from salpcc.stages.strays.timeline import Timeline
+from salpcc.stages.strays.stray_coder import Plan, Told, plan
 
 _PATIENCE = 2  # scans of a group whose points are sought by their times in vain: a search takes seconds
 
@@ -166,7 +165,8 @@ class Encoding:
     @cached_property
     def logged(self) -> tuple[Scan, Points]:
         """The message's scan, and what its fields are predicted from."""
-        return logged_scan.known_of(self.listed, self.sensor, self.strays.told, self.layered)
+        told = self.strays.told if len(self.sweep.laser) == 0 else None
+        return logged_scan.known_of(self.listed, self.sensor, told, self.layered)
 
     @cached_property
     def levels(self) -> NDArray[np.uint8] | None:
@@ -190,7 +190,7 @@ class Decoding:
     streams: dict[str, bytes]
     starts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64))
     hundredths: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))  # intensities
-    timeline: Timeline | None = None  # lasers and times of the points as their own stream tells them
+    told: Told = None  # what the stream of the points tells of them besides
     field_of_intensity: bytes = b""  # the stream of intensities where the cloud tells how to read it
 
     @cached_property

@@ -36,6 +36,7 @@ from salpcc.stages.residual_code.stream import Stream
 from salpcc.stages.strays.aimed.aimed_layers import Among
 from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, learned_number
 from salpcc.stages.strays.stray_values import decode_values, encode_values
+from salpcc.stages.strays.timeline import Timeline
 
 Data = NDArray[np.uint8]
 _LENGTH = struct.Struct("<I")
@@ -190,7 +191,7 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
         among = among_source(header.n_points, header.strays, static)
     elif beside is not None and header.returns == 0:
         among = Among.of_list(header.strays, beside, timed=partial(timed_beside, static))
-    places, points, scan.timeline, sound = decode_strays(
+    places, points, told, sound = decode_strays(
         header.strays,
         header.max_error,
         as_array(stream),
@@ -200,8 +201,9 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
         among,
     )
     require_sound(sound)
-    if scan.timeline is not None:
+    if isinstance(told, Timeline):
         require_sound(header.returns == 0, header.flags & CLOUD)
+    scan.told = told if header.returns == 0 else None
     of_all = header.returns + header.strays + (0 if static is None else len(static))
     if header.flags & SOURCE:
         of_all = header.n_points
@@ -314,7 +316,7 @@ def _decode_cloud(scan: Decoding, stream: bytes) -> None:
         listed = alone(sweep, layered.movable)
     of_field = scan.field_of_intensity if scan.intensity_is_field else None
     found = logged_scan.decode_logged(
-        listed, scan.sensor, stream, of_field, scan.state.envelope, scan.state.fields, scan.timeline, layered
+        listed, scan.sensor, stream, of_field, scan.state.envelope, scan.state.fields, scan.told, layered
     )
     scan.sweep = replace(found, stray_index=sweep.stray_index, source=sweep.source, lead=sweep.lead)
 

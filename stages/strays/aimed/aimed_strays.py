@@ -21,6 +21,7 @@ from salpcc.stages.strays.aimed.aimed_stream import (
     Aimed,
     Way,
     is_shuffled,
+    no_points,
     put,
     read_aimed,
     settle,
@@ -161,13 +162,13 @@ def read_body(
     clock: Clock | None = None,
     lists: LearnedLists | None = None,
     among: Among | None = None,
-) -> tuple[F32, Array, bool]:
-    """Inverse of :func:`write_body`: points ``(n, 3)``, their lasers ``(n,)`` (OFF_LASER off the lattice), and whether the data made sense.
+) -> tuple[F32, Aimed, bool]:
+    """Inverse of :func:`write_body`: points ``(n, 3)``, where they are on the lattice, and whether the data made sense.
 
     Args:
         among: in which points that are not GIVEN get their roles.
     """
-    nothing = np.zeros((n, 3), np.float32), np.zeros(n, np.uint8), False
+    nothing = np.zeros((n, 3), np.float32), no_points(n), False
     if n > MOST_POINTS or len(data) < _BODY.size:
         return nothing
     form, step, off, length = _BODY.unpack(data[: _BODY.size].tobytes())
@@ -197,11 +198,11 @@ def read_body(
         return nothing
     if off:
         points[are_off], sound = read_rest(off, np.ascontiguousarray(data[end:]))
-    return points, lasers_of(aimed), bool(sound and (off > 0 or end == len(data)))
+    return points, aimed, bool(sound and (off > 0 or end == len(data)))
 
 
 def lasers_of(aimed: Aimed) -> Array:
-    """The lasers ``(S,)`` that a reader knows; OFF_LASER of points that are of none."""
+    """The lasers ``(S,)`` that are known; OFF_LASER of points that are of none."""
     return np.where(aimed.kinds == AIMED, aimed.laser, OFF_LASER).astype(np.uint8)
 
 

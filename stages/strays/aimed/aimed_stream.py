@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
-from salpcc.stages.lattice.aim import aim
+from salpcc.stages.lattice.aim import Placed, aim
 from salpcc.stages.lattice.drivers import NO_DRIVER
 from salpcc.stages.lattice.lattice import driven, laser_constants
 from salpcc.stages.lattice.list_motion import places, redo, undo
@@ -49,6 +49,11 @@ class Aimed:
     def some(self, which: slice | NDArray[np.bool_]) -> Aimed:
         """Return a copy of some of the points."""
         return Aimed(*(np.array(column[which]) for column in vars(self).values()))
+
+    @property
+    def placed(self) -> Placed:
+        """Where the points are that lie on the lattice, of an exact list that nothing moved."""
+        return Placed(self.kinds == AIMED, self.laser, self.tick, self.level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,19 +195,23 @@ def read_aimed(
     Args:
         among: in which those that are not GIVEN get their roles.
     """
-    empty = Aimed(
+    empty, part = no_points(n), None
+    if among is not None:
+        part = _layer(among, put(among.given, sensor, way, EXACT_REACH if way.exact else 0.0))
+    state = start_decoder(data)
+    _code(False, empty.points, empty, sensor, way, 0.0, state, data, part)
+    return empty, bool(state[3] == 0)
+
+
+def no_points(n: int) -> Aimed:
+    """Return ``n`` points of which nothing is known yet."""
+    return Aimed(
         np.zeros((n, 3), np.float32),
         np.zeros(n, np.uint8),
         np.zeros(n, np.uint8),
         np.zeros(n, np.int64),
         np.zeros(n, np.int64),
     )
-    part = None
-    if among is not None:
-        part = _layer(among, put(among.given, sensor, way, EXACT_REACH if way.exact else 0.0))
-    state = start_decoder(data)
-    _code(False, empty.points, empty, sensor, way, 0.0, state, data, part)
-    return empty, bool(state[3] == 0)
 
 
 def _layer(among: Among, known: Aimed) -> Layer:

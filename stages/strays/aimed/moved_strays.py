@@ -75,10 +75,10 @@ def read_moved(
     time = time + first
     s = timed_places(time, float(numbers[0]))
     body = np.ascontiguousarray(data[begin + _MOTION.size :])
-    points, laser, sound = read_body(
+    points, aimed, sound = read_body(
         n, layout, per, True, body, sensor, numbers[1:], read_rest, s, Clock.of(time), lists
     )
-    return points, Timeline(laser, time, 0, passed_of(body, lists)), sound
+    return points, Timeline(lasers_of(aimed), time, 0, passed_of(body, lists)), sound
 
 
 def body_of(data: bytes) -> bytes:

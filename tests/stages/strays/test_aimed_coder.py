@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.scan import Scan
 from salpcc.stages.ingest.calibrate.fit_sensor import fit_sensor
+from salpcc.stages.lattice.aim import Placed, aim
 from salpcc.stages.lattice.find_lasers import Listed
 from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.list_motion import places, redo
@@ -72,6 +73,22 @@ def test_what_is_off_the_lattice_keeps_its_place(fan: SensorModel, rows: Points,
     finite = np.isfinite(points).all(axis=1)
     assert np.linalg.norm(decoded[finite].astype(np.float64) - points[finite], axis=1).max() <= max_error
     assert snapped[~finite].tobytes() == points[~finite].tobytes()
+
+
+@pytest.mark.parametrize("grid", [False, True])
+def test_places_that_are_told_are_those_that_are_found(fan: SensorModel, rows: Points, grid: bool) -> None:
+    points = in_order(rows, "firings")
+    rng = np.random.default_rng(3)
+    points[rng.random(len(points)) < 0.03] *= np.float32(1.01)
+    points = (np.rint(points * 1000) / 1000).astype(np.float32) if grid else points
+    points[5:8] = [[np.nan] * 3, [0, 0, 3], [-0.0, 0, 0]]
+    data = encode_strays(np.arange(len(points)), plan(points, 0.0, fan))
+    _, back, told, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), fan)
+    assert sound and isinstance(told, Placed)
+    assert 0.5 < told.known.mean() < 1.0
+    wide = back.astype(np.float64)
+    for known, sought in zip(aim(fan, wide, placed=told), aim(fan, wide), strict=True):
+        assert np.array_equal(known, sought)
 
 
 def test_a_cloud_that_is_nearly_void(fan: SensorModel, rows: Points) -> None:
