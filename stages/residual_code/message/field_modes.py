@@ -67,7 +67,8 @@ class FieldModes:
             if coded is not None and self._pays(len(coded), len(values), len(record), of):
                 return coded
         coded = encode_field(values, points, base, learned, beside)
-        self._found[name] = coded, len(values)
+        if len(values):  # a cloud without points says nothing of those behind it
+            self._found[name] = coded, len(values)
         return coded
 
     def decode(

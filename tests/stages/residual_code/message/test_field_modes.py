@@ -78,3 +78,14 @@ def test_fields_of_one_name_of_two_topics_do_not_meet(searches: list[bytes]) -> 
         modes.encode(("/a", "v"), fields["ring"], points)
         modes.encode(("/b", "v"), fields["time"], points)
     assert len(searches) == 2
+
+
+def test_a_cloud_without_points_says_nothing_of_those_behind_it(searches: list[bytes]) -> None:
+    modes, points = FieldModes(), _points()
+    none = Points.of(points.xyz[:0], 0, SENSOR)
+    for known in (none, points, none, points):
+        for name, values in {**_fields(0), "still": np.zeros(N, np.uint16)}.items():
+            few = values[: len(known.xyz)]
+            coded = modes.encode(("/a", name), few, known)
+            assert decode_field(coded, 0, few.dtype, known)[0].tobytes() == few.tobytes()
+    assert len(searches) == 3 * 6  # twice without points, and once with them
