@@ -15,7 +15,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from html import escape
@@ -255,21 +255,39 @@ class Archive(Sequence[Scan]):
             raise IndexError(f"scan {index} of {len(self)}")
         return _detached(self._in_hand.scan(self._reader, *self._places[index]))
 
-    def of_frames(self, frames: tuple[int, int] | None) -> Iterator[Scan]:
+    def of_frames(self, frames: tuple[int, int] | None, without: Collection[str] = ()) -> Iterator[Scan]:
         """Yield the scans of frames ``[first, last)``, or all: a frame's number is the name where that is one, else the place.
+
+        Those of the names ``without`` are left out, unless no others are there.
 
         Raises:
             UsageError: there is none.
         """
-        if frames is None and len(self):
+        if frames is None and len(self) and not without:
             yield from self
             return
-        first, last = frames or (0, 0)
-        places = [at for at, name in enumerate(self.names) if first <= frame_number(name, at) < last]
+        names = self.names
+        places = self._places_of(frames)
         if not places:
             raise UsageError(f"{self._reader.path}: no scan of it is of these frames; {self._reader.held}")
-        for place in places:
+        for place in [place for place in places if names[place] not in without] or places:
             yield self[place]
+
+    def bare(self, frames: tuple[int, int] | None = None) -> list[str]:
+        """Name the scans, of these frames, whose movable layer is asked for and gone: what ``recover`` could not save."""
+        if self._options.layers == "static" or self.movable != "layered":
+            return []
+        names, reader = self.names, self._reader
+        pairs = zip(reader.gops, reader.movable_gops, strict=True)
+        gone = {entry.name for gop, layer in pairs for entry in gop[len(layer) :]}
+        return [names[place] for place in self._places_of(frames) if names[place] in gone]
+
+    def _places_of(self, frames: tuple[int, int] | None) -> list[int]:
+        return [
+            place
+            for place, name in enumerate(self.names)
+            if frames is None or frames[0] <= frame_number(name, place) < frames[1]
+        ]
 
     def __iter__(self) -> Iterator[Scan]:
         gops = range(len(self._reader.gops))

@@ -76,11 +76,18 @@ def decode(
     asked = cast("Layers", layers), cast("Frame", frame)
     with Archive.open(archive, threads or cores(), *asked) as opened:
         count = 0
-        scans = opened.of_frames(parse_frames(frames))
+        gone = opened.bare(parse_frames(frames))
+        scans = opened.of_frames(parse_frames(frames), without=gone)
         for path in export(opened, scans, out, partial(STDERR.print, soft_wrap=True)):
             count += 1
             folder = path.parent
         typer.echo(f"{count} file{'s' if count > 1 else ''} in {folder}")
+    for name in gone:
+        STDERR.print(
+            f"failed: scan {name}: its movable layer is gone; --layers static gives what is left",
+            soft_wrap=True,
+        )
+    raise typer.Exit(1 if gone else 0)
 
 
 def verify(

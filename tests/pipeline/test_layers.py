@@ -266,6 +266,14 @@ def test_what_is_whole_of_a_damaged_archive_is_recovered(
             assert archive[place].points.tobytes() == scans[place].points.tobytes()
         with pytest.raises(ArchiveError, match="scan 000003: its movable layer is gone"):
             archive[3]
+    code, said = command("decode", tmp_path / "new.mcap", "--to", "kitti", "--out", tmp_path / "back")
+    assert code == 1 and "scan 000003: its movable layer is gone; --layers static" in said
+    back = sorted((tmp_path / "back" / "sequences" / "00" / "velodyne").iterdir())
+    assert [path.stem for path in back] == ["000000", "000001", "000002", "000004"]
+    for frames, left, count in (("0:3", 0, 3), ("3:4", 1, 0)):
+        out = tmp_path / frames
+        code, said = command("decode", tmp_path / "new.mcap", "--to", "ply", "--frames", frames, "--out", out)
+        assert code == left and "failed" not in said and len(list(out.rglob("*.ply"))) == count
     with Archive.open(tmp_path / "new.mcap", layers="static") as archive:
         assert archive[3].points.tobytes() == scans[3].points[~is_movable(scans[3])].tobytes()
 
