@@ -16,7 +16,7 @@ from salpcc.pipeline.verify import Verdict, compare
 from salpcc.schemas.config import Coder, Effort, Labels, Profile, RunConfig
 from salpcc.schemas.errors import ArchiveError, KindError, UsageError
 from salpcc.schemas.extras import require
-from salpcc.schemas.files import location
+from salpcc.schemas.files import location, there
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.shards import ASIDE, LAYER_COUNTS
 from salpcc.stages.coding import code
@@ -99,7 +99,7 @@ def encode_scans(
     listed = _listed(scans, intensity, fields)
     config = _config({name: value for name, value in options.items() if name not in fields})
     target = location(path)
-    if target.exists() and not overwrite:
+    if there(target) and not overwrite:
         raise UsageError(f"{target} is there already; overwrite=True replaces it")
     check_name(sequence, "sequence")
     taken = iter(listed)

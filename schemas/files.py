@@ -85,6 +85,11 @@ def remote(path: Path) -> tuple[Any, str]:
     return path_.fs, path_.path
 
 
+def there(path: Path) -> bool:
+    """Tell whether something has this name; a link to nothing has it, too, such as one to a disk that is not mounted."""
+    return path.exists() if is_url(path) else os.path.lexists(path)
+
+
 @contextmanager
 def atomic(path: Path) -> Iterator[BinaryIO]:
     """Open a file that appears under ``path`` only when complete.

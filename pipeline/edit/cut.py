@@ -12,7 +12,7 @@ from pathlib import Path
 
 from salpcc.pipeline.decode import decoded_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
-from salpcc.schemas.files import is_url
+from salpcc.schemas.files import is_url, there
 from salpcc.schemas.log import LogMessage
 from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.sweep import Sweep
@@ -117,7 +117,7 @@ def check_new(out: Path) -> None:
     Raises:
         UsageError: it is there.
     """
-    if out.exists():
+    if there(out):
         raise UsageError(f"{out}: exists; name a new file")
     if not is_url(out) and out.suffix != ".mcap":
         raise UsageError(f"{out}: an archive is a file NAME.mcap")

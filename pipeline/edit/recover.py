@@ -8,6 +8,7 @@ from typing import Any
 
 from salpcc.pipeline.decode import DecodeOptions, decode_scans, decoded_scans
 from salpcc.schemas.errors import ArchiveError, UsageError
+from salpcc.schemas.files import there
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.residual_code.archive.format import ScanPayload
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
@@ -49,7 +50,7 @@ def recover(path: Path, out: Path, sensor: SensorModel | None = None) -> Recover
         ArchiveError: there is nothing to recover.
         UsageError: ``out`` exists.
     """
-    if out.exists():
+    if there(out):
         raise UsageError(f"{out}: exists; recover writes a new file")
     source = Salvage(path, sensor)
     found = Recovery(str(path), str(out), source.facts.sequence, notes=list(source.notes))

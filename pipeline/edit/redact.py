@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from salpcc.pipeline.edit.cut import check_new
 from salpcc.pipeline.held_poses import unpacked_poses
 from salpcc.schemas.errors import ArchiveError, SourceError, UsageError
-from salpcc.schemas.files import write_json
+from salpcc.schemas.files import there, write_json
 from salpcc.schemas.labels import CLASSES, MOVABLE, known_classes
 from salpcc.schemas.passing_log import PassingLog
 from salpcc.schemas.scan import Scan
@@ -118,7 +118,7 @@ def redact(
     """
     selection = selection or Selection()
     check_new(out)
-    if (beside := manifest_path(out)).exists():
+    if there(beside := manifest_path(out)):
         raise UsageError(f"{beside}: exists, and the manifest has this name; name another --out")
     reader = ArchiveReader(path)
     if reader.movable != "layered":

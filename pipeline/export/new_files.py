@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import atomic, is_url, there
 
 
 def write_new(path: Path, data: bytes, what: str) -> None:
@@ -15,9 +15,10 @@ def write_new(path: Path, data: bytes, what: str) -> None:
         UsageError: another is there; ``what`` it holds, with its verb, is said.
         OSError: it cannot be written.
     """
-    if path.is_file():
-        if path.read_bytes() == data:
-            return
+    found = path.is_file()
+    if found and path.read_bytes() == data:
+        return
+    if found or (not is_url(path) and path.is_symlink()):
         raise UsageError(f"{path}: other {what} there; name an empty folder with --out")
     with atomic(path) as stream:
         stream.write(data)
@@ -30,5 +31,5 @@ def check_new(*paths: Path) -> None:
         UsageError: it is there.
     """
     for path in paths:
-        if path.exists():
+        if there(path):
             raise UsageError(f"{path}: exists, and may be the log itself; name another folder with --out")

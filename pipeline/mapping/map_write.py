@@ -19,7 +19,7 @@ from salpcc.pipeline.mapping.map_request import MapRequest
 from salpcc.pipeline.mapping.map_tiles import TileResult, read_tile
 from salpcc.pipeline.schedule.store import ShardStore
 from salpcc.schemas.errors import UsageError
-from salpcc.schemas.files import atomic
+from salpcc.schemas.files import atomic, there
 from salpcc.stages.evaluate.report import record
 from salpcc.stages.evaluate.report.schema import PICTURES
 from salpcc.stages.mapping.picture import busiest, pictures
@@ -53,7 +53,7 @@ def check_place(out: Path) -> None:
     """
     if not any((out / name).exists() for name in ("scans.txt", "map.json")):
         for name in ("poses.txt", "map.mcap", "map.vpc"):
-            if (out / name).exists():
+            if there(out / name):
                 raise UsageError(
                     f"{out}: its {name} is of no map, and one would replace it; name another folder"
                 )

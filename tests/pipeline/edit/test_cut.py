@@ -12,6 +12,8 @@ from salpcc.pipeline import Archive, encode_scans
 from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.edit.cut import Selection, cut
 from salpcc.pipeline.edit.merge import merge
+from salpcc.pipeline.edit.recover import recover
+from salpcc.pipeline.export import EXPORTS
 from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, run_sequences
 from salpcc.pipeline.verify import verify
@@ -112,6 +114,28 @@ def test_what_cannot_be_cut_or_merged(whole: Path, scans: list[Scan], tmp_path: 
     with pytest.raises(UsageError, match=r"max_error|otherwise"):
         merge([whole, other], tmp_path / "none.mcap")
     assert not (tmp_path / "none.mcap").exists()
+
+
+def test_a_link_to_nothing_is_no_free_name(whole: Path, scans: list[Scan], tmp_path: Path) -> None:
+    """It may lead to a disk that is not mounted; a new file would take its place."""
+    link, folder = tmp_path / "link.mcap", tmp_path / "sequences/00/velodyne"
+    folder.mkdir(parents=True)
+    point = folder / "000000.bin"
+    for name in (link, tmp_path / "00/00.mcap", point):
+        name.parent.mkdir(exist_ok=True)
+        name.symlink_to("/nowhere/there")
+    archive = Archive.open(whole)
+    for make in (
+        lambda: cut(whole, link, Selection((0, 2))),
+        lambda: merge([whole, whole], link),
+        lambda: recover(whole, link),
+        lambda: encode_scans(scans[:1], link),
+        lambda: list(EXPORTS["mcap"](archive, iter(archive), tmp_path)),
+        lambda: list(EXPORTS["kitti"](archive, iter(archive), tmp_path)),
+    ):
+        with pytest.raises(UsageError, match=r"exists|there"):
+            make()
+    assert link.is_symlink() and point.is_symlink() and (tmp_path / "00/00.mcap").is_symlink()
 
 
 def test_groups_of_the_paper_are_taken_from_their_first_scan_on(tmp_path: Path) -> None:
