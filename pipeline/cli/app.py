@@ -19,6 +19,7 @@ from salpcc.pipeline.cli import parts as cli_parts
 from salpcc.pipeline.cli import run_log as cli_log
 from salpcc.pipeline.cli import run_sequences as cli_run
 from salpcc.pipeline.cli import train_networks as cli_train
+from salpcc.pipeline.schedule.machine import allowed_mb
 from salpcc.pipeline.schedule.progress import STDERR
 from salpcc.schemas.errors import DamagedError, LogWarning, SalpccError, UsageError
 from salpcc.schemas.files import unreachable, why
@@ -35,6 +36,8 @@ _WRONG_PLACE = (
     errno.EEXIST,
     errno.ENAMETOOLONG,
 )
+# Libraries and kernels take 700 on two cores. With less the OpenBLAS of one may look for memory for ever.
+_LEAST_MB = 1000
 _ON_THIS_MACHINE = ("calibrate", "localise", "map", "simulate", "train")  # others take URLs
 
 
@@ -80,6 +83,11 @@ def _root(
     ),
 ) -> None:
     """Recorded LiDAR scans in, compact bit-exact archives and a report out; and back again."""
+    if (most := allowed_mb()) < _LEAST_MB:
+        raise SalpccError(
+            f"no more than {most:.0f} MB of memory may be asked for here (ulimit -v), and the libraries need "
+            f"{_LEAST_MB} of these; raise the limit"
+        )
     for argument in sys.argv if context.invoked_subcommand in _ON_THIS_MACHINE else ():
         if "://" in argument and not argument.startswith(("tcp:", "tls:")):
             raise UsageError(f"{context.invoked_subcommand} works in folders; copy {argument} to one first")
@@ -97,6 +105,8 @@ def main() -> None:
         _fail(f"{error}; `salpcc-pipeline recover` saves what is whole", 1)
     except SalpccError as error:
         _fail(str(error), 1)
+    except MemoryError:
+        _fail("out of memory; more of it, or fewer --threads or --workers where there are such, may do", 1)
     except Exception as error:
         if unreachable(error):
             _fail(f"{why(error)}; check the address, and the credentials in the environment", 1)

@@ -11,6 +11,16 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def allowed_mb() -> float:
+    """Largest address space that this process may take, MB, as ``ulimit -v`` says; infinite where nothing is said."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return float("inf")
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return float("inf") if most == resource.RLIM_INFINITY else most / (1 << 20)
+
+
 def peak_mb() -> float:
     """Largest memory of this process so far, MB; 0 where the system does not tell (Windows)."""
     try:
