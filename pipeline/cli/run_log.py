@@ -18,6 +18,8 @@ from salpcc.pipeline.cli.options import (
     stages_of,
 )
 from salpcc.pipeline.cli.run_result import execute
+from salpcc.pipeline.schedule.fork_server import start_fork_server
+from salpcc.pipeline.schedule.progress import STDERR, starting
 from salpcc.schemas.config import RunConfig
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.extras import require
@@ -89,8 +91,8 @@ def log(
 ) -> None:
     """Encode the point clouds of a log, keep its other topics as they are, measure, and write a report."""
     require("run", "run")
-    from salpcc.pipeline.schedule.progress import STDERR, starting
-
+    asked = RunConfig.model_construct(keep_movable=keep_movable, classes=classes)
+    start_fork_server(workers, scheduler, network=asked.uses_network)
     with starting():
         from salpcc.pipeline.run import RunRequest
         from salpcc.pipeline.sensors.choose_sensor import AUTO, OWN, choose_sensor, choose_unit

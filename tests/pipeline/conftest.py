@@ -108,7 +108,7 @@ def cli() -> Callable[..., subprocess.CompletedProcess[str]]:
             chdir(cwd or "."),
         ):
             patch.setattr("sys.argv", ["salpcc-pipeline", *map(str, words)])
-            for command in ("run_sequences", "maps"):  # what ends at once leaves no process behind
+            for command in ("run_log", "run_sequences", "maps"):  # what ends at once leaves no process behind
                 patch.setattr(f"salpcc.pipeline.cli.{command}.start_fork_server", lambda *_, **__: None)
             with pytest.raises(SystemExit) as end:
                 main()

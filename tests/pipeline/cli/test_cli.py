@@ -2,14 +2,18 @@
 
 import json
 import re
+import resource
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from salpcc.pipeline.cli.app import app
 from salpcc.pipeline.cli.archives import _compared
 from salpcc.pipeline.export import EXPORTS
 
@@ -229,6 +233,37 @@ def test_files_that_an_option_names_are_named(
     result = cli("run", "sequences", "00", "--root", toy_root, *option, cwd=tmp_path)
     assert result.returncode == 1 and all(word in error_of(result) for word in said), result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_too_little_memory_is_one_line(cli: Cli, done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def limit() -> None:  # at 390 MB some library fails, at 480 one looks for memory for ever
+        resource.setrlimit(resource.RLIMIT_AS, (480 << 20, 480 << 20))
+
+    command = [sys.executable, "-m", "salpcc.pipeline.cli", "verify", str(done / "archives" / "00.mcap")]
+    result = subprocess.run(
+        command, preexec_fn=limit, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert result.returncode == 1 and "480 MB" in error_of(result) and "ulimit -v" in error_of(result)
+
+    def ends(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("salpcc.pipeline.verify.verify", ends)
+    result = cli("verify", done / "archives" / "00.mcap")
+    assert result.returncode == 1 and "out of memory" in error_of(result)
+
+
+@pytest.mark.parametrize(("options", "network"), [([], True), (["--keep-movable"], False)])
+def test_workers_load_while_a_log_is_looked_at(
+    options: list[str], network: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = []
+    monkeypatch.setattr(
+        "salpcc.pipeline.cli.run_log.start_fork_server",
+        lambda *which, network: begun.append((*which, network)),
+    )
+    CliRunner().invoke(app, ["run", "log", "nowhere.mcap", "--workers", "3", *options])
+    assert begun == [(3, None, network)]
 
 
 @pytest.mark.parametrize("content", [b"", b"not mcap at all" * 10])
