@@ -263,7 +263,7 @@ class Archive(Sequence[Scan]):
         Raises:
             UsageError: there is none.
         """
-        if frames is None and len(self) and not without:
+        if frames is None and (len(self) or self.log) and not without:
             yield from self
             return
         names = self.names

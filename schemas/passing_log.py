@@ -23,6 +23,11 @@ class PassingLog:
         self._messages = messages
         self._next = next(messages, None)
 
+    @property
+    def ended(self) -> bool:
+        """Tell whether it has no message left to hand out."""
+        return self._next is None
+
     def until(self, time: int | None) -> Iterator[list[LogMessage]]:
         """Yield chunks of what the log has before its first message after ``time``; None: of all that is left."""
         chunk: list[LogMessage] = []

@@ -81,6 +81,8 @@ def decode(
         for path in export(opened, scans, out, partial(STDERR.print, soft_wrap=True)):
             count += 1
             folder = path.parent
+        if not count:
+            raise UsageError(f"{archive}: it holds no scan; --to mcap gives its other messages")
         typer.echo(f"{count} file{'s' if count > 1 else ''} in {folder}")
     for name in gone:
         STDERR.print(

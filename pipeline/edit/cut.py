@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 
 from salpcc.pipeline.decode import decoded_scans
@@ -43,6 +44,8 @@ class Counts:
     @property
     def told(self) -> str:
         """In words."""
+        if not self.scans:
+            return "no scan, messages of other topics only"
         how = f"{self.copied} copied" + (f", {self.anew} coded anew and compared" if self.anew else "")
         topics = f"; messages of {', '.join(sorted(self.behind))} stay behind, which cut takes along"
         return f"{self.scans} scan{'' if self.scans == 1 else 's'}, {how}" + (topics if self.behind else "")
@@ -72,20 +75,23 @@ def cut(path: Path, out: Path, selection: Selection) -> Counts:
     """Write the scans of ``path`` that are selected, and what its log recorded between them, to a new archive ``out``.
 
     Raises:
-        UsageError: ``out`` exists, nothing is selected, or groups of the profile ``paper`` would have to be opened.
+        UsageError: ``out`` exists, no scan and no message is selected, or groups of the profile ``paper`` would have to be opened.
         ArchiveError: the archive is damaged.
     """
     reader = ArchiveReader(path)
     names, window = _selected(reader, selection)
-    if not any(names):
-        first, last = reader.span
-        raise UsageError(f"{path}: no scan of it is selected; {reader.held}, {(last - first) / 1e9:.1f} s")
     log = None
     if reader.log:
         channels = [c for c in reader.log.values() if not selection.topics or c.topic in selection.topics]
         kept = {channel.id for channel in channels}
         messages = (m for m in reader.passing() if m.channel in kept and _within(m, window))
         log = PassingLog(channels, messages, reader.enclosed())
+    if not any(names) and (log is None or log.ended):
+        first, last = reader.span
+        raise UsageError(
+            f"{path}: no scan of it is selected{', and no message' if log else ''}; "
+            f"{reader.held}, {(last - first) / 1e9:.1f} s"
+        )
     return write_part(reader, names, out, log)
 
 
@@ -102,7 +108,7 @@ def write_part(
     config = facts.config
     if reader.log:  # whoever compares it with the log must know that it is not all of it
         numbers = [int(name.rpartition("-")[2]) for gop in names for name in gop]
-        config = config | {"frames": [min(numbers), max(numbers) + 1]}
+        config = config | {"frames": [min(numbers), max(numbers) + 1] if numbers else [0, 0]}
     counts = Counts()
     gops = (part for gop, wanted in enumerate(names) if (part := taken(reader, gop, wanted, counts)))
     # Without its inputs no run takes it for the archive that it would make.
@@ -203,7 +209,7 @@ def _selected(
     reader: ArchiveReader, selection: Selection
 ) -> tuple[list[list[str]], tuple[int | None, int | None]]:
     """Names of the scans that are taken, by GOP; and from when to when (ns) other messages of the log are, None for open."""
-    start, _ = reader.span
+    start, _ = reader.span if any(reader.gops) else reader.passing_span
     topics = _topics(reader) if selection.topics else None
     if topics is not None and (wrong := set(selection.topics) - {c.topic for c in reader.log.values()}):
         there = ", ".join(sorted({c.topic for c in reader.log.values()})) or "none, its scans were files"
@@ -222,10 +228,20 @@ def _selected(
             else:
                 without.append(time)
             place += 1
-    first, last = min(within, default=0), max(within, default=0)
+    if not within:
+        return names, _between(start, selection)
+    first, last = min(within), max(within)
     # What was recorded before the first scan of all stays with that, what came after the last one with the last.
     begins = any(time < first for time in without)
     return names, (first if begins else None, min((t for t in without if t > last), default=None))
+
+
+def _between(start: int, selection: Selection) -> tuple[int | None, int | None]:
+    """From when to when messages are that no scan is among: those of the seconds; none of frames that are not there."""
+    if selection.seconds is None or selection.frames is not None:
+        return 0, 0
+    first, last = (start + round(1e9 * s) if isfinite(s) else None for s in selection.seconds)
+    return first, last
 
 
 def _topics(reader: ArchiveReader) -> list[str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import Writer
 from typer.testing import CliRunner
 
@@ -200,6 +201,32 @@ def test_parts_of_logs(log: tuple[Path, Path], tmp_path: Path) -> None:
     merge([second, first], tmp_path / "again.mcap")
     assert told(tmp_path / "again.mcap") == everything
     assert [a.name for a in Archive.open(tmp_path / "again.mcap").enclosed()] == ["notes"]  # type: ignore[union-attr]
+
+
+def test_parts_without_a_scan(log: tuple[Path, Path], tmp_path: Path) -> None:
+    """Between two scans, or of topics that hold none, a part has messages only."""
+    source, archive = log
+    part, again = tmp_path / "part.mcap", tmp_path / "again.mcap"
+    assert cut(archive, part, Selection(seconds=(0.04, 0.0495))).scans == 0
+    assert told(part) == [("/texts", 49)]
+    assert cut(archive, tmp_path / "texts.mcap", Selection(topics=("/texts",))).scans == 0
+    assert told(tmp_path / "texts.mcap") == [row for row in told(archive) if row[0] == "/texts"]
+    assert cut(tmp_path / "texts.mcap", again, Selection(seconds=(0.1, 0.2))).scans == 0
+    assert told(again) == [("/texts", 99), ("/texts", 149)]
+    for path in (part, tmp_path / "texts.mcap"):
+        assert verify(path, source).good
+    merge([part, tmp_path / "texts.mcap"], tmp_path / "both.mcap")
+    assert told(tmp_path / "both.mcap") == told(tmp_path / "texts.mcap")
+    run = CliRunner().invoke
+    assert run(app, ["inspect", str(part)]).exit_code == 0
+    assert run(app, ["decode", str(part), "--to", "mcap", "--out", str(tmp_path / "back")]).exit_code == 0
+    with open(tmp_path / "back/drive/drive.mcap", "rb") as stream:
+        assert [row.data for _, _, row in make_reader(stream).iter_messages()] == [b'{"n": 1}']
+    failed = run(app, ["decode", str(part), "--to", "ply", "--out", str(tmp_path / "none")])
+    assert failed.exit_code == 1 and "holds no scan" in str(failed.exception)
+    for selection in (Selection((90, 99)), Selection(seconds=(90, 99)), Selection((90, 99), (0.04, 0.0495))):
+        with pytest.raises(UsageError, match="no scan of it is selected, and no message"):
+            cut(archive, tmp_path / "no.mcap", selection)
 
 
 def test_topics_of_logs(log: tuple[Path, Path], tmp_path: Path) -> None:
