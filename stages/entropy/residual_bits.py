@@ -11,7 +11,7 @@ from numba import njit
 from numba.cpython.unsafe.numbers import leading_zeros  # one instruction of the processor
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.walks import code_mixed_bit, code_raw, uncounted
+from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
 
 SIZES = 40  # magnitudes below 2 ** 40
 PER_CONTEXT = 2 + 4 * SIZES
@@ -27,7 +27,8 @@ def size_of(magnitude: int) -> int:
     return int(64 - leading_zeros(np.int64(magnitude)))
 
 
-@uncounted
+# A call would lay seven words of each array on the stack, which takes as long as the bits that a number has left.
+@njit(cache=True, forceinline=True, _nrt=False)
 def code_number(
     writing: bool, state: State, data: Bytes, first: Bits, i: int, second: Bits, j: int, value: int
 ) -> int:

@@ -28,7 +28,8 @@ _LEAST_TURN, _MOST_TURN = 0.6, 1.7  # of the last 1/d, what a guess may be
 _OFFSET_RATE, _LEVEL_RATE, _SLOPE_RATE, _DENOISE = 0.12, 0.4, 0.2, 0.55
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+# What a walk asks at every point is put into it: a call lays seven to nine words of each array on the stack.
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def link(i: int, k: int, links: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
     """Append point i to those of laser k, a ring that closes on itself."""
     if ends[k, 1] < 0:
@@ -121,7 +122,7 @@ def nearest_of(here, other, cursor, k, side, ticks, azimuth, links, ends):  # ty
     return at, off
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def above_and_below(i, k, other, side, ticks, azimuth, surface, links, ends, cursor, beside):  # type: ignore[no-untyped-def]
     """Find the point of laser ``other`` (-1: none) nearest in azimuth to point i of laser k; -1 where it has none yet.
 
@@ -143,7 +144,7 @@ def above_and_below(i, k, other, side, ticks, azimuth, surface, links, ends, cur
     return at
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def guess_inverse(  # type: ignore[no-untyped-def]
     i, place, second, upper, lower, ticks, azimuth, inverse, surface, beside, errors, guess
 ):  # fmt: skip

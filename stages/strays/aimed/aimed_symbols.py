@@ -33,7 +33,7 @@ def new_models() -> Models:
     )
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def code_kind(
     writing: bool,
     state: NDArray[np.int64],
@@ -55,7 +55,7 @@ def code_kind(
     return high * 2 + low
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def code_laser(
     writing: bool,
     state: NDArray[np.int64],
