@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from salpcc.pipeline.schedule.progress import STDERR
-from salpcc.schemas.errors import UsageError
+from salpcc.schemas.errors import SensorError, UsageError
 from salpcc.schemas.extras import require
-from salpcc.schemas.files import atomic, location
+from salpcc.schemas.files import atomic, location, there
 from salpcc.schemas.manifest import expand_sequences
 
 
@@ -64,9 +64,15 @@ def calibrate(
 ) -> None:
     """Find the lasers, steps and lever arms of any spinning LiDAR from its scans alone, and write them as a sensor model."""
     from salpcc.pipeline.sensors.calibration import calibrate_log, summary
+    from salpcc.stages.lattice.sensor_model import load_sensor
 
     if out.suffix != ".json":  # it would take the place of a log
         raise UsageError(f"{out}: a sensor model is a file NAME.json")
+    if there(out):
+        try:
+            load_sensor(out.absolute())
+        except SensorError as error:
+            raise UsageError(f"{out}: exists, and is no sensor model; name another --out") from error
     if not log.exists():
         raise UsageError(f"{log}: not found; name a folder of scans, a scan, or a log")
     found = calibrate_log(log, scans, out.stem, (topic,) if topic else ())

@@ -353,6 +353,20 @@ def test_calibrate_says_what_is_no_sensor(cli: Cli, tmp_path: Path) -> None:
     assert not (tmp_path / "s.json").exists()
 
 
+@pytest.mark.parametrize("kind", ["text", "link"])
+def test_calibrate_takes_the_place_of_sensor_models_only(
+    cli: Cli, toy_root: Path, tmp_path: Path, kind: str
+) -> None:
+    out = tmp_path / "package.json"
+    if kind == "link":
+        out.symlink_to(tmp_path / "not" / "mounted.json")
+    else:
+        out.write_text('{"name": "mine"}')
+    result = cli("calibrate", toy_root / "sequences" / "00", "--out", out)
+    assert result.returncode == 2 and "is no sensor model; name another --out" in error_of(result)
+    assert out.is_symlink() if kind == "link" else out.read_text() == '{"name": "mine"}'
+
+
 def test_report_is_rebuilt(cli: Cli, done: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(done, out)
