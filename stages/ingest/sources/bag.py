@@ -301,6 +301,10 @@ def find_log(root: Path, sequence: str) -> Path:
         raise SourceError(f"{root}: holds {' and '.join(p.name for p in found)}; name the one that is meant")
     if found:
         return found[0]
+    if _is_log(root):
+        raise SourceError(
+            f"{root}: a log of another name than {sequence}; if it is the one, name a link to it that is called {sequence}{root.suffix}"
+        )
     if root.is_file():
         raise SourceError(no_log(root))
     raise SourceError(f"{root / sequence}: not found. {Bag.hint}")

@@ -8,6 +8,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from salpcc.schemas.errors import SourceError
 from salpcc.schemas.mcap_chunks import MAX_RECORD, compress, decompress
+from salpcc.stages.ingest.sources.bag import find_log
 from salpcc.stages.ingest.sources.mcap_log import McapLog
 
 
@@ -65,3 +66,13 @@ def test_bombs_are_refused() -> None:
             decompress("zstd", packed, size)
     assert decompress("zstd", packed, 1 << 20) == bytes(1 << 20)
     assert decompress("", BytesIO(b"abc").read(), 3) == b"abc"
+
+
+def test_a_log_of_another_name_is_told_so(tmp_path: Path) -> None:
+    """Such as one that is not of the archive, or was renamed: it is a log all the same."""
+    path = write(tmp_path / "other.mcap")
+    with pytest.raises(SourceError, match=r"other\.mcap: a log of another name than drive.* drive\.mcap$"):
+        find_log(path, "drive")
+    link = tmp_path / "drive.mcap"
+    link.symlink_to(path)
+    assert find_log(link, "drive") == link
