@@ -62,7 +62,9 @@ def segment(
     out: Annotated[Path, typer.Option(help="Weights, checkpoint and training.csv go here.")] = Path(
         "weights"
     ),
-    width: Annotated[str, typer.Option(metavar="small|paper", help="The width of the network.")] = "small",
+    width: Annotated[
+        str, typer.Option(metavar="small|wide|paper", help="The width of the network.")
+    ] = "small",
     hold_out: Annotated[
         str,
         typer.Option(
@@ -76,9 +78,16 @@ def segment(
             help="Paste in vehicles and people of the labelled data that lie here, of simulated streets, or none.",
         ),
     ] = "simulated",
-    steps: Annotated[int, typer.Option(min=1, help="Steps of the optimiser.")] = 5000,
-    batch: Annotated[int, typer.Option(min=1, help="Crops in a step.")] = 8,
-    rate: Annotated[float, typer.Option(help="The learning rate at its peak.")] = 2e-3,
+    teachers: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="So many wide networks learn beside it and tell it what they see, labelled or not. Meant for a GPU; on a CPU they take ten times as long as the network alone.",
+        ),
+    ] = 2,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the optimiser.")] = 2000,
+    batch: Annotated[int, typer.Option(min=1, help="Crops in a step.")] = 16,
+    rate: Annotated[float, typer.Option(help="The learning rate at its peak.")] = 2.5e-3,
     start: Annotated[
         str,
         typer.Option(
@@ -115,7 +124,7 @@ def segment(
 ) -> None:
     """Train the segmentation network on labelled scans, or score it.
 
-    The defaults are the recipe of the shipped weights: three phases, simulated vehicles pasted in.
+    The defaults are the recipe of the shipped weights: three phases, two teachers, simulated vehicles pasted in.
     """
     require("segment", "train segment")
     from salpcc.stages.segment.network.checkpoint import load_cached
@@ -124,7 +133,14 @@ def segment(
     from salpcc.stages.segment.training.labelled import list_labelled, split_labelled
     from salpcc.stages.segment.training.loop import train_segment
     from salpcc.stages.segment.training.pseudo_labels import complete_labels
-    from salpcc.stages.segment.training.recipe import GOING_ON, PHASES, Recipe, for_any_sensor
+    from salpcc.stages.segment.training.recipe import (
+        GOING_ON,
+        PHASES,
+        Phase,
+        Recipe,
+        for_any_sensor,
+        with_teachers,
+    )
     from salpcc.stages.segment.training.score import score_table
     from salpcc.stages.segment.weights_file import weights_path
 
@@ -135,21 +151,24 @@ def segment(
     check_device(device)
     items = [item.strip() for item in hold_out.split(",") if item.strip()]
     names = [name for item in items for name in ([item] if "/" in item else expand_sequences(item))]
-    refs, held_out = split_labelled(data, names, taught=bool(teacher))
+    refs, held_out = split_labelled(data, names, taught=bool(teacher or teachers))
     if score is not None:
         for line in score_table(load_cached(weights_path(score), device), held_out):
             typer.echo(line)
         return
-    phases = GOING_ON if start else PHASES
+    phases: tuple[Phase, ...] = GOING_ON if start else PHASES
+    phases = for_any_sensor(phases) if any_sensor else phases
+    phases = with_teachers(phases) if teachers else phases
     recipe = Recipe(
         width,
+        teachers,
         steps,
         batch,
         rate,
         seed=seed,
         workers=workers,
         every=every,
-        phases=for_any_sensor(phases) if any_sensor else phases,
+        phases=phases,
         start=start,
         learned=learned,
     )

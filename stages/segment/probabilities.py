@@ -18,12 +18,11 @@ _DIGITS = np.float32(4096)
 
 
 @njit(cache=True)
-def group_probabilities(logits: F32, shift: F32, index: NDArray[np.int32], group_of: U8) -> tuple[F32, U8]:
+def group_probabilities(logits: F32, index: NDArray[np.int32], group_of: U8) -> tuple[F32, U8]:
     """Sum the probabilities of the classes up to groups.
 
     Args:
         logits: ``(H, W, C)`` of classes 1 to C.
-        shift: ``(C,)``, added to the logits.
         index: ``(H, W)``, below 0 where there is no return.
         group_of: ``(C + 1,)``, the group of each class.
 
@@ -49,7 +48,6 @@ def group_probabilities(logits: F32, shift: F32, index: NDArray[np.int32], group
             top[:] = -np.inf
             for k in range(classes):
                 for lane in range(_LANES):
-                    x[k, lane] += shift[k]
                     top[lane] = max(top[lane], x[k, lane])
             whole[:] = 0
             total[:] = 0

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.labels import GROUP_OF_CLASS
 from salpcc.stages.segment.back_projection import classes_of_points
-from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.network.multimodal import N_CLASSES
 from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.network.quantised import LabellingNetwork
@@ -67,7 +66,7 @@ def _best_of_most(groups: F32, best: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def class_scores(network: LabellingNetwork, image: RangeImage) -> tuple[RangeImage, F32]:
     """Run the network on a scan's range image.
 
-    Returns the image and the logits ``(64, W, 19)`` of the classes, as trained. On one thread, so that a
+    Returns the image and the logits ``(64, W, 19)`` of the classes. On one thread, so that a
     scan gets the same labels however many workers there are.
     """
     if not (image.index >= 0).any():
@@ -76,14 +75,14 @@ def class_scores(network: LabellingNetwork, image: RangeImage) -> tuple[RangeIma
         return image, network.logits(image.planes)
 
 
-def by_group(image: RangeImage, scores: F32, shift: F32) -> Segmentation:
-    """Sum the probabilities of an image's classes, given as logits ``(64, W, 19)`` to be shifted by ``(19,)``, up to groups."""
-    return Segmentation(image, *group_probabilities(scores, shift, image.index, GROUP_OF_CLASS))
+def by_group(image: RangeImage, scores: F32) -> Segmentation:
+    """Sum the probabilities of an image's classes, given as logits ``(64, W, 19)``, up to groups."""
+    return Segmentation(image, *group_probabilities(scores, image.index, GROUP_OF_CLASS))
 
 
 def segment_image(network: LabellingNetwork, image: RangeImage) -> Segmentation:
-    """Segment a scan on its range image, its classes weighed as they occur in streets."""
-    return by_group(*class_scores(network, image), AS_IN_STREETS)
+    """Segment a scan on its range image."""
+    return by_group(*class_scores(network, image))
 
 
 def label_points(network: LabellingNetwork, points: F32, intensity: F32) -> NDArray[np.uint8]:

@@ -18,7 +18,7 @@ from salpcc.stages.segment.labelling import label_gop
 from salpcc.stages.segment.task import keep, quantise, split
 from salpcc.stages.segment.to_grid import to_grid
 
-VERSION = 12
+VERSION = 13
 
 
 def run(table: pa.Table, config: RunConfig) -> pa.Table:

@@ -1,4 +1,4 @@
-"""What follows the network brings: class shares taken back, several scans, free space; scan by scan and together.
+"""What follows the network brings: several scans, free space, objects; scan by scan and together.
 
     python -m salpcc.stages.evaluate.studies.segment_ablation --root DIR --out OUT 06=small
     python -m salpcc.stages.evaluate.studies.segment_ablation --root DIR --out OUT 01,05,07=A.safetensors 00,04,09=B.safetensors
@@ -31,7 +31,6 @@ from salpcc.stages.evaluate.studies.reliability import BINS, calibration_error, 
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
 from salpcc.stages.ingest.stage import Projector
 from salpcc.stages.lattice.sensor_model import load_sensor
-from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.confusion import UNLABELLED
 from salpcc.stages.segment.labelling import joined
 from salpcc.stages.segment.network.checkpoint import load_cached
@@ -39,7 +38,7 @@ from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.network.quantised import LabellingNetwork
 from salpcc.stages.segment.objects import judge_objects
 from salpcc.stages.segment.registration import steps_between
-from salpcc.stages.segment.segmenter import Segmentation, by_group, class_scores
+from salpcc.stages.segment.segmenter import Segmentation, segment_image
 from salpcc.stages.segment.several_scans import agree
 from salpcc.stages.segment.training.labelled import consecutive, not_movable, raw_labels, split_labelled
 from salpcc.stages.segment.training.score import count, scores
@@ -102,15 +101,13 @@ def variants(
     """Yield the name of each variant and what it makes of the scans of a group."""
     to_sweep = Projector(load_sensor("hdl64e"))
     sweeps = [to_sweep(number, scan) for number, scan in gop]
-    found = [class_scores(network, project(scan.points, scan.intensity)) for _, scan in gop]
-    yield "as trained, scan by scan", [by_group(*one, np.zeros_like(AS_IN_STREETS)) for one in found]
-    weighed = [by_group(*one, AS_IN_STREETS) for one in found]
-    yield "class shares taken back, scan by scan", weighed
-    steps = steps_between(weighed, joined(sweeps), [sweep.motion for sweep in sweeps])
-    yield "the same, several scans", agree(weighed, steps, free_space=False)
-    agreed = agree(weighed, steps)
-    yield "the same, free space as well", agreed
-    yield "class shares taken back, objects, scan by scan", judge_objects(weighed, [None] * len(steps))
+    found = [segment_image(network, project(scan.points, scan.intensity)) for _, scan in gop]
+    yield "scan by scan", found
+    steps = steps_between(found, joined(sweeps), [sweep.motion for sweep in sweeps])
+    yield "several scans", agree(found, steps, free_space=False)
+    agreed = agree(found, steps)
+    yield "several scans, free space", agreed
+    yield "objects, scan by scan", judge_objects(found, [None] * len(steps))
     yield "several scans, free space, objects (default)", judge_objects(agreed, steps)
 
 

@@ -52,6 +52,7 @@ class NetworkConfig:
 
 WIDTHS = {
     "small": NetworkConfig("small", 4, 32, 16, 2, (32, 64, 96), 4096, 64, (64, 96, 128, 160), 2),
+    "wide": NetworkConfig("wide", 4, 64, 32, 2, (64, 128, 192), 4096, 128, (128, 192, 256, 320), 2),
     "paper": NetworkConfig("paper", 1, 32, 16, 3, (64, 128, 256), 4096, 64, (64, 96, 128, 192, 256), 2),
 }
 

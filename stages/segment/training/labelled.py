@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from salpcc.schemas.labels import CLASSES, classes_of_labels
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti, read_labels
 from salpcc.stages.segment.network.projection import project
+from salpcc.stages.segment.network.range_image import RANGE
 from salpcc.stages.segment.training.kitti_boxes import HINT, labels_of_boxes, list_boxed
 
 F32 = NDArray[np.float32]
@@ -40,6 +42,11 @@ class LabelledImage:
     planes: F32
     classes: NDArray[np.uint8]
     instances: NDArray[np.uint32]
+
+    @cached_property
+    def labelled(self) -> float:
+        """Share of the returns that are labelled."""
+        return float((self.classes > 0).sum() / max((self.planes[RANGE] > 0).sum(), 1))
 
 
 def list_labelled(root: Path, taught: bool = False) -> list[ScanRef]:
@@ -104,12 +111,14 @@ def consecutive(refs: Sequence[ScanRef], most: int) -> Iterator[list[ScanRef]]:
 
 
 def raw_labels(ref: ScanRef, points: F32) -> NDArray[np.uint32]:
-    """Return the label ``(N,)`` of each point ``(N, 3)`` as SemanticKITTI writes it, of a file or from boxes.
+    """Return the label ``(N,)`` of each point ``(N, 3)`` as SemanticKITTI writes it, of a file or from boxes; 0 where there are none.
 
     Raises:
         SourceError: the file is unreadable, not one label a point, or not what the layout says.
     """
-    if ref.labels is not None and ref.labels.endswith(".txt"):
+    if ref.labels is None:
+        return np.zeros(len(points), np.uint32)
+    if ref.labels.endswith(".txt"):
         return labels_of_boxes(ref, points)
     return read_labels(ref, len(points))
 

@@ -6,21 +6,23 @@ import csv
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import torch
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 from salpcc.schemas.errors import UsageError
 from salpcc.schemas.work import ScanRef
-from salpcc.stages.segment.class_shares import training_weights
 from salpcc.stages.segment.network.checkpoint import load_weights, save_weights
 from salpcc.stages.segment.network.multimodal import WIDTHS, SegmentNetwork, for_cpu
+from salpcc.stages.segment.network.point_branch import PointTensors
 from salpcc.stages.segment.network.quantised import for_labelling
+from salpcc.stages.segment.training.class_weights import IN_STREETS, training_weights, unweigh, weigh
 from salpcc.stages.segment.training.labelled import sequence_of
-from salpcc.stages.segment.training.losses import segmentation_loss
+from salpcc.stages.segment.training.losses import rows_of, segmentation_loss, teachers_loss
 from salpcc.stages.segment.training.recipe import Phase, Recipe
 from salpcc.stages.segment.training.samples import Batch, Samples, loader
 from salpcc.stages.segment.training.score import count_scans, scores
@@ -30,10 +32,64 @@ Log = Callable[[str], None]
 
 _FOLLOW = 0.998  # share of the average that stays at each step
 _WARM_UP = 0.03  # share of the steps
+_TRUSTED = 0.3  # share of the steps after which what teachers say counts in full
+TEACHERS = "wide"
+
+
+class Learner:
+    """One network that learns, the average of its weights, its optimiser."""
+
+    def __init__(self, recipe: Recipe, width: str, device: str) -> None:
+        self.recipe = recipe
+        self.network = for_cpu(SegmentNetwork(WIDTHS[width])).to(device)
+        self.average = for_cpu(SegmentNetwork(WIDTHS[width])).to(device).eval()
+        self.average.load_state_dict(self.network.state_dict())
+        self.optimiser = torch.optim.AdamW(
+            self.network.parameters(), recipe.rate, recipe.betas, weight_decay=recipe.decay
+        )
+
+    def follow(self, loss: Tensor, rate: float, step: int) -> None:
+        """Take a step down a loss, and let the average follow."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
+        self.optimiser.step()
+        follow = min(_FOLLOW, step / (step + 20))
+        now = self.network.state_dict()
+        for name, value in self.average.state_dict().items():
+            if value.is_floating_point():
+                value.lerp_(now[name].detach(), 1.0 - follow)
+
+    def tensors(self, head: str) -> dict[str, torch.Tensor]:
+        """What :meth:`take_back` needs, by names that begin with ``head``."""
+        tensors = {f"{head}.network.{k}": v for k, v in self.network.state_dict().items()}
+        tensors |= {f"{head}.average.{k}": v for k, v in self.average.state_dict().items()}
+        for number, state in self.optimiser.state_dict()["state"].items():
+            tensors |= {f"{head}.optimiser.{number}.{k}": torch.as_tensor(v) for k, v in state.items()}
+        return tensors
+
+    def take_back(self, head: str, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Inverse of :meth:`tensors`."""
+        part = lambda of: {k.removeprefix(of): v for k, v in tensors.items() if k.startswith(of)}
+        self.network.load_state_dict(part(f"{head}.network."))
+        self.average.load_state_dict(part(f"{head}.average."))
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, value in part(f"{head}.optimiser.").items():
+            number, key = name.split(".", 1)
+            state.setdefault(int(number), {})[key] = value
+        groups = self.optimiser.state_dict()["param_groups"]
+        self.optimiser.load_state_dict({"state": state, "param_groups": groups})
 
 
 class Trainer:
-    """One training: its network, the average of its weights, its optimiser."""
+    """One training: the network that is asked for, and its teachers.
+
+    Teachers are wider and learn from the same crops, of labels alone; the network learns from labels and from what the averages of its teachers
+    say of every pixel, whoever labelled it (knowledge distillation; Hinton et al., 2015). Of fifty scans a small
+    network alone learns by heart what two larger ones can agree on.
+    """
 
     def __init__(self, recipe: Recipe, refs: Sequence[ScanRef], device: str = "cpu") -> None:
         torch.manual_seed(recipe.seed)
@@ -41,18 +97,18 @@ class Trainer:
         self.refs = list(refs)
         self.device = device
         self.step = 0
-        self.network = for_cpu(SegmentNetwork(WIDTHS[recipe.width])).to(device)
+        self.pupil = Learner(recipe, recipe.width, device)
+        self.teachers = [Learner(recipe, TEACHERS, device) for _ in range(recipe.teachers)]
         self.begun: dict[str, torch.Tensor] | None = None
         if recipe.start:
-            begun, _ = load_weights(weights_path(recipe.start))
-            if begun.config != self.network.config:
+            begun, facts = load_weights(weights_path(recipe.start))
+            if begun.config != self.pupil.network.config:
                 raise UsageError(f"--start {recipe.start}: weights of another width; asked is {recipe.width}")
-            self.begun = {k: v.to(device) for k, v in begun.state_dict().items()}
-            self.network.load_state_dict(self.begun)
-        self.average = {k: v.detach().clone() for k, v in self.network.state_dict().items()}
-        self.optimiser = torch.optim.AdamW(
-            self.network.parameters(), recipe.rate, recipe.betas, weight_decay=recipe.decay
-        )
+            counts = facts.get("in_streets", {})
+            assert isinstance(counts, dict)
+            self.begun = {k: v.to(device) for k, v in unweigh(begun.state_dict(), counts).items()}
+            self.pupil.network.load_state_dict(self.begun)
+            self.pupil.average.load_state_dict(self.begun)
 
     def rate(self) -> float:
         """Learning rate of the coming step: a short warm-up, then a cosine down to 1 %."""
@@ -63,49 +119,54 @@ class Trainer:
         return self.recipe.rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(min(turn, math.pi))))
 
     def take_step(self, batch: Batch) -> float:
-        """Take one step and return its loss."""
-        phase = self.recipe.phase(self.step)
-        self.network.dropped = phase.dropped
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.rate()
-        self.network.train()
-        with torch.autocast(self.device, torch.bfloat16):
-            logits = self.network(batch.features.to(self.device), batch.sets.to(self.device))
+        """Take one step and return the loss against the labels."""
+        phase, rate = self.recipe.phase(self.step), self.rate()
+        features, sets = batch.features.to(self.device), batch.sets.to(self.device)
+        targets = batch.targets.to(self.device)
         weights = torch.from_numpy(training_weights(phase.root)).to(self.device)
-        loss = segmentation_loss(logits, batch.targets.to(self.device), weights, phase.movable)
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
-        self.optimiser.step()
+        said = self._said(features, sets)
         self.step += 1
-        follow = min(_FOLLOW, self.step / (self.step + 20))
-        for name, value in self.network.state_dict().items():
-            if value.is_floating_point():
-                self.average[name].lerp_(value.detach(), 1.0 - follow)
-        return loss.item()
+        for learner in [*self.teachers, self.pupil]:
+            learner.network.dropped = phase.dropped
+            learner.network.train()
+            with torch.autocast(self.device, torch.bfloat16):
+                logits = learner.network(features, sets)
+            loss = told = segmentation_loss(logits, targets, weights, phase.movable)
+            if learner is self.pupil and said is not None:
+                trust = min(1.0, self.step / (_TRUSTED * self.recipe.steps))
+                loss = told + trust * teachers_loss(logits, said, features[:, 0] != 0)
+            learner.follow(loss, rate, self.step)
+        return told.item()
+
+    def _said(self, features: Tensor, sets: PointTensors) -> Tensor | None:
+        """Mean probabilities ``(B H W, 19)`` of the teachers, None where there are none."""
+        if not self.teachers:
+            return None
+        with torch.no_grad(), torch.autocast(self.device, torch.bfloat16):
+            every = [torch.softmax(rows_of(one.average(features, sets)), 1) for one in self.teachers]
+        return torch.stack(every).mean(0)
 
     def averaged(self) -> SegmentNetwork:
-        """Return a network with the averaged weights.
+        """Return a network with the averaged weights, whose classes count as in streets.
 
         Where the training went on from others, the network is between them and what was learned: it keeps what the
         few new scans do not tell (Wortsman et al., CVPR 2022).
         """
-        network = SegmentNetwork(self.network.config)
-        state = self.average
+        network = SegmentNetwork(self.pupil.network.config)
+        state = self.pupil.average.state_dict()
         if self.begun is not None:
             share = self.recipe.learned
             state = {
                 k: v.lerp(state[k], share) if v.is_floating_point() else v for k, v in self.begun.items()
             }
-        network.load_state_dict(state)
+        network.load_state_dict(weigh(state, IN_STREETS))
         return network.eval()
 
     def save(self, path: Path) -> None:
         """Write what :meth:`resume` needs."""
-        tensors = {f"network.{k}": v for k, v in self.network.state_dict().items()}
-        tensors |= {f"average.{k}": v for k, v in self.average.items()}
-        for number, state in self.optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser.{number}.{k}": torch.as_tensor(v) for k, v in state.items()}
+        tensors = self.pupil.tensors("pupil")
+        for k, teacher in enumerate(self.teachers):
+            tensors |= teacher.tensors(f"teacher{k}")
         facts = {"step": str(self.step), "recipe": json.dumps(asdict(self.recipe), sort_keys=True)}
         part = path.with_suffix(".part")
         save_file({k: v.detach().clone().contiguous() for k, v in tensors.items()}, str(part), facts)
@@ -128,15 +189,9 @@ class Trainer:
                 f"{path}: a checkpoint of another recipe; use the same options, or another --out"
             )
         tensors = load_file(str(path), self.device)
-        part = lambda head: {k[len(head) :]: v for k, v in tensors.items() if k.startswith(head)}
-        self.network.load_state_dict(part("network."))
-        self.average = part("average.")
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for name, value in part("optimiser.").items():
-            number, key = name.split(".", 1)
-            state.setdefault(int(number), {})[key] = value
-        groups = self.optimiser.state_dict()["param_groups"]
-        self.optimiser.load_state_dict({"state": state, "param_groups": groups})
+        self.pupil.take_back("pupil", tensors)
+        for k, teacher in enumerate(self.teachers):
+            teacher.take_back(f"teacher{k}", tensors)
         self.step = int(facts["step"])
 
 
@@ -160,7 +215,7 @@ def train_segment(
     Raises:
         UsageError: nothing to train on, or nothing to go on from.
     """
-    if not refs:
+    if all(ref.labels is None for ref in refs):
         raise UsageError("no labelled scans are left to train on; hold out fewer, or give more --data")
     out.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(recipe, refs, device)
@@ -178,7 +233,7 @@ def train_segment(
             phase = recipe.phase(trainer.step)
             # Crops are not replayed after a resume: another seed draws new ones.
             seed = recipe.seed + 1000 * trainer.step
-            config = trainer.network.config
+            config = trainer.pupil.network.config
             batches = loader(
                 Samples(trainer.refs, config, recipe.batch, seed, phase.samples, donors), recipe.workers
             )
@@ -199,6 +254,7 @@ def train_segment(
             "sequences": sequences,
             "scans": len(refs),
             "recipe": asdict(recipe),
+            "in_streets": IN_STREETS,
             **row,
         }
         trainer.save(checkpoint)

@@ -1,4 +1,4 @@
-"""Losses: weighted cross-entropy over the 19 classes, and cross-entropy and Lovasz over the three groups.
+"""Losses: weighted cross-entropy over the 19 classes, and cross-entropy and Lovasz over the three groups; and what teachers say.
 
 The groups are what a task acts on, so they are trained for directly. The Lovasz extension (Berman et
 al., CVPR 2018) is a smooth stand-in for the IoU, eq. (21).
@@ -14,6 +14,7 @@ from salpcc.schemas.labels import GROUP_OF_CLASS, GROUPS, MOVABLE
 from salpcc.stages.segment.network.multimodal import N_CLASSES
 from salpcc.stages.segment.training.labelled import NOT_MOVABLE
 
+_MOVABLE_MORE = 3.0
 _NOT = len(GROUPS)  # of a group that is not movable, whichever
 _GROUP_OF_TARGET = torch.full((NOT_MOVABLE,), _NOT)
 _GROUP_OF_TARGET[:N_CLASSES] = torch.tensor(GROUP_OF_CLASS[1 : N_CLASSES + 1].astype("int64"))
@@ -21,11 +22,11 @@ _GROUP_OF_TARGET[:N_CLASSES] = torch.tensor(GROUP_OF_CLASS[1 : N_CLASSES + 1].as
 
 def group_logits(logits: Tensor) -> Tensor:
     """Sum classes up to groups, in the log domain: ``(N, 19)`` to ``(N, 3)``."""
-    members = [
-        torch.eq(_GROUP_OF_TARGET[:N_CLASSES], group).nonzero().ravel().to(logits.device)
-        for group in range(len(GROUPS))
-    ]
-    return torch.stack([torch.logsumexp(logits[:, member], 1) for member in members], 1)
+    return torch.stack([torch.logsumexp(logits[:, _members(group)], 1) for group in range(len(GROUPS))], 1)
+
+
+def _members(group: int) -> list[int]:
+    return torch.eq(_GROUP_OF_TARGET[:N_CLASSES], group).nonzero().ravel().tolist()
 
 
 def lovasz(probabilities: Tensor, targets: Tensor) -> Tensor:
@@ -46,6 +47,31 @@ def lovasz(probabilities: Tensor, targets: Tensor) -> Tensor:
         jaccard = torch.cat([jaccard[:1], jaccard[1:] - jaccard[:-1]])
         losses.append(torch.dot(errors, jaccard))
     return torch.stack(losses).mean() if losses else probabilities.sum() * 0.0
+
+
+def rows_of(logits: Tensor) -> Tensor:
+    """Return logits ``(B, 19, H, W)`` as float32 ``(B H W, 19)``."""
+    return logits.permute(0, 2, 3, 1).reshape(-1, logits.shape[1]).float()
+
+
+def teachers_loss(logits: Tensor, said: Tensor, seen: Tensor) -> Tensor:
+    """Return how far a network is from what its teachers say (Hinton et al., 2015): Kullback-Leibler divergence of classes and of groups.
+
+    Args:
+        logits: ``(B, 19, H, W)``.
+        said: ``(B H W, 19)``, the teachers' probabilities; pixels that they call movable weigh four times as much.
+        seen: ``(B, H, W)``, pixels with a return.
+    """
+    rows, said = rows_of(logits)[seen.ravel()], said[seen.ravel()]
+    groups = torch.stack([said[:, _members(group)].sum(1) for group in range(len(GROUPS))], 1)
+    apart = _divergence(torch.log_softmax(rows, 1), said)
+    apart = apart + _divergence(torch.log_softmax(group_logits(rows), 1), groups)
+    weights = 1.0 + _MOVABLE_MORE * groups[:, MOVABLE]
+    return (apart * weights).sum() / weights.sum().clamp(min=1.0)
+
+
+def _divergence(logarithms: Tensor, said: Tensor) -> Tensor:
+    return (said * (torch.log(said.clamp(min=1e-8)) - logarithms)).sum(1)
 
 
 def segmentation_loss(logits: Tensor, targets: Tensor, class_weights: Tensor, movable: float = 1.0) -> Tensor:

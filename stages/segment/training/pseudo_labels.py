@@ -19,7 +19,6 @@ from salpcc.schemas.labels import CLASSES, GROUND, GROUP_OF_CLASS, MOVABLE, OTHE
 from salpcc.schemas.scan import Scan
 from salpcc.schemas.work import ScanRef
 from salpcc.stages.ingest.sources.semantickitti import SemanticKitti
-from salpcc.stages.segment.class_shares import AS_IN_STREETS
 from salpcc.stages.segment.labelling import joined, judge_group
 from salpcc.stages.segment.network.projection import project
 from salpcc.stages.segment.network.quantised import LabellingNetwork
@@ -65,10 +64,7 @@ def complete_labels(
     }
     for group in consecutive(refs, _GROUP):
         scans = [SemanticKitti().read(ref, with_labels=False) for ref in group]
-        given = [
-            np.zeros(len(scan.points), np.uint32) if ref.labels is None else raw_labels(ref, scan.points)
-            for ref, scan in zip(group, scans, strict=True)
-        ]
+        given = [raw_labels(ref, scan.points) for ref, scan in zip(group, scans, strict=True)]
         whole = [bool((labels != 0).mean() > _WHOLE) for labels in given]
         completed += [ref for ref, labelled in zip(group, whole, strict=True) if labelled]
         if all(whole):
@@ -114,7 +110,7 @@ def _twice(network: LabellingNetwork, scan: Scan) -> Segmentation:
     mirrored = scan.points * np.array([1, -1, 1], np.float32)
     _, other = class_scores(network, project(mirrored, scan.intensity))
     mean = ((scores + other[:, ::-1]) / 2).astype(np.float32)
-    return by_group(image, mean, AS_IN_STREETS)
+    return by_group(image, mean)
 
 
 def _sure(found: Segmentation, n: int) -> Said:

@@ -19,6 +19,7 @@ class SampleConfig:
         turned: share of the distorted crops that are turned any way at all, not just along the road.
         brightened: share of the distorted crops that get another sensor's intensities.
         other_sensors: share of the distorted crops that get another sensor's rings, or no intensities.
+        unlabelled: share of the crops from where nobody has labelled, of which only teachers know anything.
     """
 
     width: int = 512
@@ -31,6 +32,7 @@ class SampleConfig:
     turned: float = 0.4
     brightened: float = 0.25
     other_sensors: float = 0.0
+    unlabelled: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ PHASES = (
 # Of weights that know streets already: with more of what is rare set into them, then streets as they are.
 GOING_ON = (Phase(0.7, SampleConfig(512, 0.3, 0.7, 5, (0.5, 0.6, 0.6), 0.3)), Phase())
 _OTHER_SENSORS = 0.5  # of the crops, where weights are for any sensor
+_UNLABELLED = 0.15  # of the crops, once teachers know something
 
 
 def for_any_sensor(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
@@ -76,12 +79,21 @@ def for_any_sensor(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
     )
 
 
+def with_teachers(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
+    """Return phases of which all but the first also show what nobody has labelled."""
+    first, *others = phases
+    return first, *(
+        replace(phase, samples=replace(phase.samples, unlabelled=_UNLABELLED)) for phase in others
+    )
+
+
 @dataclass(frozen=True)
 class Recipe:
     """How the network is trained.
 
     Attributes:
         width: key of :data:`~salpcc.stages.segment.network.multimodal.WIDTHS`.
+        teachers: networks of twice the width that learn beside it, and tell it what they see in every crop.
         steps, batch: optimiser steps, crops in each.
         rate: peak learning rate. The paper trains at 5e-4 for 40,000 epochs; for thousands of steps more is better.
         betas: of Adam, the paper's.
@@ -95,9 +107,10 @@ class Recipe:
     """
 
     width: str = "small"
-    steps: int = 5000
-    batch: int = 8
-    rate: float = 2e-3
+    teachers: int = 0
+    steps: int = 2000
+    batch: int = 16
+    rate: float = 2.5e-3
     betas: tuple[float, float] = (0.9, 0.99)
     decay: float = 0.01
     seed: int = 0

@@ -25,6 +25,8 @@ from salpcc.stages.segment.training.scan_mixing import Instance, instances_of, m
 IGNORED = -1
 _BANK = 400  # instances kept of each class
 _LEAST_RETURNS = 500
+_WHOLE = 0.5  # of the returns of a scan; boxes cover a sixth
+_TRIED = 50  # scans, to find one that is not labelled
 
 
 @dataclass(eq=False)
@@ -58,10 +60,10 @@ class Samples(IterableDataset[Batch]):
         self._own = InstanceBank()
         self._given = InstanceBank()
         self._banked: set[int] = set()
-        names = [sequence_of(ref) for ref in refs]
+        names = [sequence_of(ref) for ref in refs if ref.labels is not None]
         # Sequences weigh by the root of their length, so that no single scene rules.
-        self._weights = np.array([names.count(name) ** -0.5 for name in names])
-        self._weights /= self._weights.sum()
+        weights = [0.0 if ref.labels is None else names.count(sequence_of(ref)) ** -0.5 for ref in refs]
+        self._weights = np.array(weights) / np.sum(weights)
 
     def __iter__(self) -> Iterator[Batch]:
         info = get_worker_info()
@@ -86,6 +88,8 @@ class Samples(IterableDataset[Batch]):
 
     def crop(self, rng: np.random.Generator) -> Crop:
         """Draw one augmented crop."""
+        if rng.random() < self.config.unlabelled:
+            return self._unlabelled(rng)
         crop = self._plain(rng)
         if rng.random() < self.config.mixed:
             crop = mix(crop, self._plain(rng), COLUMNS, rng)
@@ -104,7 +108,23 @@ class Samples(IterableDataset[Batch]):
             self._own.add(image, rng)
         labelled = np.flatnonzero((image.classes > 0).any(axis=0))  # boxes cover only what a camera sees
         within = int(rng.choice(labelled)) if len(labelled) else 0
-        crop = cut(image, within - int(rng.integers(self.config.width)), self.config.width)
+        return self._cut(image, within - int(rng.integers(self.config.width)), rng)
+
+    def _unlabelled(self, rng: np.random.Generator) -> Crop:
+        """Draw a crop from anywhere in a scan that is not labelled as a whole, without its labels."""
+        image = self.scans[int(rng.integers(len(self.scans)))]
+        for _ in range(_TRIED):
+            if image.labelled < _WHOLE:
+                break
+            image = self.scans[int(rng.integers(len(self.scans)))]
+        crop = self._cut(image, int(rng.integers(COLUMNS)), rng)
+        if rng.random() < 0.5:
+            self._paste(crop, rng)
+        crop = distort(crop, rng, self.config.turned, self.config.brightened)
+        return replace(crop, classes=np.zeros_like(crop.classes))
+
+    def _cut(self, image: LabelledImage, first: int, rng: np.random.Generator) -> Crop:
+        crop = cut(image, first, self.config.width)
         crop = mirror(crop, COLUMNS) if self.config.distorted and rng.random() < 0.5 else crop
         return replace(crop, planes=crop.planes.copy(), classes=crop.classes.copy())
 

@@ -10,15 +10,19 @@ from typer.testing import CliRunner
 
 from salpcc.pipeline.cli.train_networks import app
 from salpcc.schemas.errors import SourceError, UsageError
-from salpcc.stages.segment.class_shares import training_weights
+from salpcc.schemas.labels import CLASSES
 from salpcc.stages.segment.network import multimodal as network
 from salpcc.stages.segment.network.checkpoint import load_weights
 from salpcc.stages.segment.network.fused import FusedNetwork
 from salpcc.stages.segment.network.multimodal import NetworkConfig
+from salpcc.stages.segment.network.range_image import RANGE
 from salpcc.stages.segment.segmenter import label_points
+from salpcc.stages.segment.training import loop
+from salpcc.stages.segment.training.class_weights import IN_STREETS, training_weights, unweigh, weigh
 from salpcc.stages.segment.training.donors import simulated_donors
 from salpcc.stages.segment.training.labelled import NOT_MOVABLE, LabelledScans, list_labelled, split_labelled
 from salpcc.stages.segment.training.loop import Trainer, train_segment
+from salpcc.stages.segment.training.losses import rows_of
 from salpcc.stages.segment.training.recipe import PHASES, Phase, Recipe, SampleConfig
 from salpcc.stages.segment.training.samples import Batch, InstanceBank, Samples
 
@@ -72,8 +76,10 @@ def test_a_checkpoint_goes_on(street: Path, tmp_path: Path) -> None:
         torch.manual_seed(1)  # of the dropout
         losses.append(one.take_step(batch))
     assert abs(losses[0] - losses[1]) < 1e-5
-    for name, value in straight.average.items():
-        assert torch.allclose(value.float(), resumed.average[name].float(), atol=1e-5), name
+    for name, value in straight.pupil.average.state_dict().items():
+        assert torch.allclose(value.float(), resumed.pupil.average.state_dict()[name].float(), atol=1e-5), (
+            name
+        )
     with pytest.raises(UsageError, match="another recipe"):
         Trainer(replace(RECIPE, seed=9), refs).resume(tmp_path / "checkpoint.safetensors")
     with pytest.raises(UsageError, match="not there"):
@@ -103,7 +109,7 @@ def test_one_command_walks_through_the_phases_and_goes_on_where_it_stopped(
     street: Path, tmp_path: Path, monkeypatch
 ) -> None:
     words = f"segment --data {street} --hold-out 01 --out {tmp_path} --width tiny --donors {street}"
-    command = f"{words} --steps 8 --batch 1 --every 2 --workers 0".split()
+    command = f"{words} --steps 8 --batch 1 --every 2 --workers 0 --teachers 0".split()
     save = Trainer.save
 
     def save_and_stop(trainer: Trainer, path: Path) -> None:
@@ -116,7 +122,7 @@ def test_one_command_walks_through_the_phases_and_goes_on_where_it_stopped(
 
     def noted(trainer: Trainer, batch: Batch) -> float:
         loss = step(trainer, batch)
-        taken.append((trainer.step, trainer.network.dropped))
+        taken.append((trainer.step, trainer.pupil.network.dropped))
         return loss
 
     monkeypatch.setattr(Trainer, "take_step", noted)
@@ -168,15 +174,88 @@ def test_going_on_ends_between_what_was_and_what_is_learned(
     recipe = replace(RECIPE, steps=3, seed=5, start=str(first), learned=share)
     second = train_segment(list_labelled(street), [], tmp_path / "second", recipe, log=lambda _: None)
     trainer = Trainer(recipe, list_labelled(street))
-    before, after = load_weights(first)[0].state_dict(), load_weights(second)[0].state_dict()
-    assert all(torch.equal(v, before[k]) for k, v in trainer.network.state_dict().items())
+    before, after = (unweigh(load_weights(path)[0].state_dict(), IN_STREETS) for path in (first, second))
+    assert all(torch.equal(v, before[k]) for k, v in trainer.pupil.network.state_dict().items())
     trainer.resume(tmp_path / "second" / "checkpoint.safetensors")
     moved = 0
     for name, value in after.items():
         if value.is_floating_point():
-            end = before[name] + share * (trainer.average[name] - before[name])
+            end = before[name] + share * (trainer.pupil.average.state_dict()[name] - before[name])
             assert torch.allclose(value, end, atol=1e-2, rtol=1e-3), name
             moved += not torch.allclose(value, before[name], atol=1e-5)
     assert moved > 10
     with pytest.raises(UsageError, match="another width"):
         Trainer(replace(recipe, width="small"), list_labelled(street))
+
+
+def test_teachers_learn_of_labels_and_say_what_nobody_labelled(
+    street: Path, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(loop, "TEACHERS", "tiny")
+    refs = list_labelled(street)
+    recipe = replace(RECIPE, teachers=2, steps=40, phases=(Phase(samples=SAMPLES, dropped=0.0),))
+    batch = Samples(refs, TINY, 2, 0, SAMPLES).draw(np.random.default_rng(0))
+    trainer = Trainer(recipe, refs)
+    begun = [one.network.state_dict()["head.bias"].clone() for one in trainer.teachers]
+    trainer.take_step(batch)
+    for one, before in zip(trainer.teachers, begun, strict=True):
+        assert not torch.equal(one.network.state_dict()["head.bias"], before)
+    first, second = (
+        torch.softmax(rows_of(one.average(batch.features, batch.sets)), 1) for one in trainer.teachers
+    )
+    said = trainer._said(batch.features, batch.sets)
+    assert torch.allclose(said, (first + second) / 2, atol=2e-3) and not torch.allclose(
+        first, second, atol=5e-3
+    )
+
+    fence = [c.name for c in CLASSES[1:20]].index("fence")
+    wanted = torch.full_like(said, 0.005)
+    wanted[:, fence] = 0.91
+    monkeypatch.setattr(trainer, "_said", lambda *_: wanted)
+    hidden = replace(batch, targets=torch.full_like(batch.targets, -1))
+    for _ in range(25):
+        assert trainer.take_step(hidden) == 0.0
+    seen = batch.features[:, 0] != 0
+    with torch.no_grad():
+        found = torch.softmax(trainer.pupil.average(batch.features, batch.sets), 1)[:, fence][seen]
+    assert found.mean() > 0.5
+    trainer.save(tmp_path / "checkpoint.safetensors")
+    resumed = Trainer(recipe, refs)
+    resumed.resume(tmp_path / "checkpoint.safetensors")
+    for one, other in zip(trainer.teachers, resumed.teachers, strict=True):
+        states = one.average.state_dict(), other.average.state_dict()
+        assert all(torch.equal(value, states[1][name]) for name, value in states[0].items())
+
+
+def test_unlabelled_crops_come_from_scans_that_are_not_labelled_as_a_whole(street: Path) -> None:
+    labelled, hidden = list_labelled(street)
+    refs = [labelled, replace(hidden, labels=None)]
+    samples = Samples(refs, TINY, 1, 0, replace(SAMPLES, unlabelled=1.0, pasted=0.0))
+    rng = np.random.default_rng(0)
+    drawn: list[int] = []
+    scans = samples.scans
+    assert scans[0].labelled > 0.5 and scans[1].labelled == 0
+    for _ in range(8):
+        crop = samples.crop(rng)
+        assert not crop.classes.any() and (crop.planes[RANGE] > 0).any()
+        drawn.append(next(reversed(scans._kept)))
+    assert set(drawn) == {1}
+    plain = Samples(refs, TINY, 1, 0, SAMPLES)
+    assert all((plain.crop(rng).classes > 0).any() for _ in range(8))
+
+
+def test_classes_count_as_in_streets_in_what_a_training_leaves(street: Path) -> None:
+    trainer = Trainer(RECIPE, list_labelled(street))
+    batch = Samples(trainer.refs, TINY, 2, 0, SAMPLES).draw(np.random.default_rng(0))
+    with torch.no_grad():
+        learned = torch.softmax(trainer.pupil.average(batch.features, batch.sets), 1)
+        left = torch.softmax(trainer.averaged()(batch.features, batch.sets), 1)
+    names = [c.name for c in CLASSES[1:20]]
+    times = (left / learned) / (left / learned)[:, names.index("road"), None]
+    for k, name in enumerate(names):
+        assert torch.allclose(
+            times[:, k], torch.tensor(IN_STREETS.get(name, 1.0)).expand_as(times[:, k]), rtol=1e-3
+        )
+    state = trainer.pupil.average.state_dict()
+    back = unweigh(weigh(state, IN_STREETS), IN_STREETS)
+    assert all(torch.allclose(value, back[name]) for name, value in state.items())
