@@ -41,7 +41,7 @@ def nothing_yet() -> NDArray[np.int64]:
     return np.full((2, 2), -1, np.int64)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def neighbours(
     values: Values, void: Flags, i: int, period: int, last: NDArray[np.int64]
 ) -> tuple[int, int, int, int]:
@@ -95,7 +95,7 @@ def costs(values: Values, void: Flags, period: int, width: int, to_beat: int) ->
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _contexts(
     sizes: NDArray[np.int64], void: Flags, i: int, period: int, last: NDArray[np.int64], slope: int
 ) -> tuple[int, int]:
@@ -107,7 +107,7 @@ def _contexts(
     return first * 262, second * 262
 
 
-@uncounted
+@njit(cache=True, forceinline=True, _nrt=False)
 def _code_residual(
     writing: bool,
     residual: int,
