@@ -110,6 +110,23 @@ def log(
             f"{file}: a folder of logs, and no bag without metadata.yaml; name one of {', '.join(names)}, "
             f"or let `ros2 bag reindex` make one bag of them"
         )
+    # Before a sensor is sought: that may take a minute, and leaves a model in the output.
+    config = config_of(
+        RunConfig,
+        source=Bag.name,
+        **parse_errors(max_error),
+        keep_movable=keep_movable,
+        drop_movable=drop_movable,
+        classes=classes,
+        weights=weights,
+        effort=effort,
+        gop=gop,
+        sensor=sensor,
+        frames=parse_frames(frames),
+        topics=tuple(topic or ()),
+        baselines=baseline_names(baselines),
+        device=device,
+    )
     if sensor == AUTO:
         sensor, share, within, unit = choose_sensor(file, names[0], tuple(topic or ()))
         where = f"are within {1000 * within:g} mm of" if within else "lie on"
@@ -130,24 +147,8 @@ def log(
         told = f"sensor: the clouds are of another unit than {sensor}, {other.share:.0%} of the returns of the first ones lie on the lattice of {model}"
         STDERR.print(told, soft_wrap=True, style="dim")
         sensor = str(model)
-    config = config_of(
-        RunConfig,
-        source=Bag.name,
-        **parse_errors(max_error),
-        keep_movable=keep_movable,
-        drop_movable=drop_movable,
-        classes=classes,
-        weights=weights,
-        effort=effort,
-        gop=gop,
-        sensor=sensor,
-        frames=parse_frames(frames),
-        topics=tuple(topic or ()),
-        baselines=baseline_names(baselines),
-        device=device,
-    )
     request = RunRequest(
-        config=config,
+        config=config.model_copy(update={"sensor": sensor}),
         sequences=names,
         out=out,
         root=file,

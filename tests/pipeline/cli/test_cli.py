@@ -253,6 +253,19 @@ def test_too_little_memory_is_one_line(cli: Cli, done: Path, monkeypatch: pytest
     assert result.returncode == 1 and "out of memory" in error_of(result)
 
 
+def test_wrong_options_are_told_before_a_sensor_is_sought(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def seek(*_: object) -> None:
+        raise AssertionError("sought")
+
+    monkeypatch.setattr("salpcc.pipeline.sensors.choose_sensor.choose_sensor", seek)
+    (tmp_path / "drive.mcap").write_bytes(b"")
+    for option in (["--max-error", "-1"], ["--gop", "0"], ["--frames", "5"]):
+        result = cli("run", "log", tmp_path / "drive.mcap", *option)
+        assert result.returncode == 2 and option[0] in error_of(result)
+
+
 @pytest.mark.parametrize(("options", "network"), [([], True), (["--keep-movable"], False)])
 def test_workers_load_while_a_log_is_looked_at(
     options: list[str], network: bool, monkeypatch: pytest.MonkeyPatch
