@@ -12,7 +12,7 @@ ROOMS = (
     "stages.memory",
     "stages.entropy",
     "stages.lattice",
-    "stages.strays",
+    "stages.lists",
     "stages.ingest",
     "stages.segment",
     "stages.ground_fit",

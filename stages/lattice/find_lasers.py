@@ -20,10 +20,8 @@ MOST_LASERS = 256
 LEAST_POINTS = 500
 NEAREST = 0.7  # metres; less is no return, or the vehicle's own roof
 _NEAREST_NUMBERED = 0.05  # metres; where the sensor tells the laser, a roof is as good as a wall
-_LONGEST, _EVERY = (
-    1 << 14,
-    17,
-)  # points looked at for firings; of which one is, at first: a prime, so of every laser
+_LONGEST = 1 << 14  # points looked at for firings
+_EVERY = 17  # of which one is at first; a prime, so that every laser is seen
 _FAR = 4.0  # metres; nearer points show where a laser sits instead of its elevation
 _FARTHEST = 0.75  # of the points are nearer than that in a small room, and must do
 _NARROW = (

@@ -27,8 +27,8 @@ from salpcc.stages.lattice.sweep import (
     source_places,
     sweep_to_scan,
 )
-from salpcc.stages.strays.aimed.aimed_layers import Among
-from salpcc.stages.strays.stray_coder import snap
+from salpcc.stages.lists.aimed.aimed_layers import Among
+from salpcc.stages.lists.list_plan import snap
 
 _T = TypeVar("_T", bound=np.generic)
 

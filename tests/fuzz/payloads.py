@@ -22,6 +22,8 @@ from salpcc.stages.lattice.list_motion import places, redo
 from salpcc.stages.lattice.order import azimuth_keys
 from salpcc.stages.lattice.sensor_model import SensorModel, load_sensor
 from salpcc.stages.lattice.sweep import scan_to_sweep
+from salpcc.stages.lists.learned.learned_lists import LearnedLists
+from salpcc.stages.lists.list_coder import decode_list
 from salpcc.stages.predict.paper.frames import predict_gop
 from salpcc.stages.residual_code.gop import decode_any, decode_gop, encode_gop, encode_layers
 from salpcc.stages.residual_code.label_coder import decode_labels, encode_labels
@@ -33,8 +35,6 @@ from salpcc.stages.residual_code.sensor import header
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.scan_coder import decode_scan
 from salpcc.stages.segment.task import quantise, split
-from salpcc.stages.strays.learned.learned_lists import LearnedLists
-from salpcc.stages.strays.stray_coder import decode_strays
 
 SENSOR, PANDAR = load_sensor("hdl64e"), load_sensor("pandar64")
 TOLD = Path(__file__).parents[1] / "golden" / "told"
@@ -183,7 +183,7 @@ def _read_told(which: int, data: bytes, folder: Path) -> None:
         kind, _, place = name.partition("_")
         known = expected["learned" if kind == "shuffled" else kind]
         n = known[int(place)][0] if place else expected["n"]
-        *_, sound = decode_strays(n, 0.0, np.frombuffer(bytearray(stream), np.uint8), PANDAR, lists=lists)
+        *_, sound = decode_list(n, 0.0, np.frombuffer(bytearray(stream), np.uint8), PANDAR, lists=lists)
     if not sound:  # what is sound and other than it was, the checksum of its payload finds
         raise ArchiveError("stray points do not decode")
 

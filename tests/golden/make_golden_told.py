@@ -13,11 +13,12 @@ from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.list_motion import redo
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.timed_motion import timed_places
+from salpcc.stages.lists.learned.learned_lists import LearnedLists
+from salpcc.stages.lists.list_coder import encode_list
+from salpcc.stages.lists.list_plan import plan
 from salpcc.stages.residual_code.message.blended_values import encode_blended
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
-from salpcc.stages.strays.learned.learned_lists import LearnedLists
-from salpcc.stages.strays.stray_coder import encode_strays, plan
 
 TOLD = Path(__file__).parent / "told"
 SENSOR = "pandar64"
@@ -66,7 +67,7 @@ def learned(scans: list[np.ndarray], name: str = "learned") -> dict[str, bytes]:
     sensor, lists, modes, written = load_sensor(SENSOR), LearnedLists(), FieldModes(True), {}
     for number, points in enumerate(scans):
         found = plan(points, 0.0, sensor, learned=lists.of_topic("/a"))
-        written[f"{name}_{number}"] = encode_strays(np.arange(len(points)), found)
+        written[f"{name}_{number}"] = encode_list(np.arange(len(points)), found)
         lists.settle(1)
         if name != "learned":
             continue
@@ -81,7 +82,7 @@ def driven_past(turns: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> dict[
     for number, (points, laser, time) in enumerate(turns):
         time = time + 100_000_000 * number
         found = plan(points, 0.0, sensor, lanes=laser, times=time, learned=lists.of_topic("/a"))
-        written[f"passed_{number}"] = encode_strays(np.arange(len(points)), found)
+        written[f"passed_{number}"] = encode_list(np.arange(len(points)), found)
         lists.settle(1)
         known = Points.of(points, 0, sensor, found.told)
         written[f"shine_{number}"] = modes.encode(("/a", "shine"), shine_of(points, 3.0), known)
@@ -94,7 +95,7 @@ def on_rays(turns: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> dict[str,
     for number, (points, laser, time) in enumerate(turns):
         halves = points.astype(np.float16).astype(np.float32)
         found = plan(halves, 0.0, lanes=laser, times=time, turning=turning, learned=lists.of_topic("/a"))
-        written[f"rays_{number}"] = encode_strays(np.arange(len(points)), found)
+        written[f"rays_{number}"] = encode_list(np.arange(len(points)), found)
         lists.settle(1)
         turning = found.turning
     return written
@@ -110,8 +111,8 @@ def main() -> None:
     around = Points.of(points, 0, sensor).around(1)
     assert around is not None
     streams = {
-        "moved": encode_strays(np.arange(len(points)), plan(points, 0.0, sensor, lanes=laser, times=time)),
-        "timed": encode_strays(np.arange(len(points)), plan(halves, 0.0, lanes=laser, times=time)),
+        "moved": encode_list(np.arange(len(points)), plan(points, 0.0, sensor, lanes=laser, times=time)),
+        "timed": encode_list(np.arange(len(points)), plan(halves, 0.0, lanes=laser, times=time)),
         "blended": encode_blended(shine, around),
         **learned(scans),
         **learned([to_and_fro(scan) for scan in scans], "shuffled"),

@@ -18,13 +18,13 @@ from salpcc.stages.entropy.buffer import ENDLESS, as_array, room_for, within
 from salpcc.stages.entropy.half_octaves import half_octaves
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
+from salpcc.stages.lists.aimed.aimed_layers import GIVEN, GONE
 from salpcc.stages.residual_code.message.learned_values import (
     AROUND,
     ValueWalk,
     code_learned_value,
     note_value,
 )
-from salpcc.stages.strays.aimed.aimed_layers import GIVEN, GONE
 
 _ALIKE = 0.008  # of the distance; what differs less counts alike
 _RATE = 0.004  # of learning

@@ -20,10 +20,10 @@ from salpcc.stages.entropy.buffer import require_sound
 from salpcc.stages.entropy.bytes import decode_bytes, encode_bytes
 from salpcc.stages.lattice.layers import Layered
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lists.list_coder import Told
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import unpacked
-from salpcc.stages.strays.stray_coder import Told
 
 _WHOLE, _ROS1, _CHANNEL = 1, 2, 4
 _LOOSE = 8  # of a movable layer, the loose bytes of the whole message

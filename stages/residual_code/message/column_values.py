@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.buffer import as_array, room_for, within
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
-from salpcc.stages.strays.aimed.aimed_layers import GONE, OWN
+from salpcc.stages.lists.aimed.aimed_layers import GONE, OWN
 
 _LARGEST = 1 << 39
 _SIZES = 12  # told apart

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.strays.aimed.aimed_layers import GONE, OWN, scattered
+from salpcc.stages.lists.aimed.aimed_layers import GONE, OWN, scattered
 
 _FAR = 200.0  # metres
 

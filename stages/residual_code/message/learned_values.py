@@ -24,9 +24,9 @@ from salpcc.stages.entropy.mixed_numbers import (
     new_numbers,
     weigh,
 )
-from salpcc.stages.strays.aimed.aimed_neighbours import link, nearest_of
-from salpcc.stages.strays.learned.learned_counts import bucket_by, signed_bucket
-from salpcc.stages.strays.timeline import Passed
+from salpcc.stages.lists.aimed.aimed_neighbours import link, nearest_of
+from salpcc.stages.lists.learned.learned_counts import bucket_by, signed_bucket
+from salpcc.stages.lists.timeline import Passed
 
 AROUND = 7  # values looked at, the last by the guide
 _MOST = AROUND + 2 + 2

@@ -18,11 +18,11 @@ from salpcc.stages.ingest.point_cloud import intensity_of
 from salpcc.stages.lattice.layers import Layered
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import source_places, sweep_to_scan
+from salpcc.stages.lists.list_coder import Told
 from salpcc.stages.residual_code.message.cloud_coder import decode_cloud, encode_cloud, points_of
 from salpcc.stages.residual_code.message.field_coder import decode_field, encode_field
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import INTENSITY, REFLECTIVITY, Points
-from salpcc.stages.strays.stray_coder import Told
 
 _FEW = 20  # of so many points one: a record of its own would take more than it tells
 

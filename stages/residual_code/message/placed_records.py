@@ -22,6 +22,7 @@ from salpcc.stages.entropy.number_forms import (
     to_bits,
 )
 from salpcc.stages.lattice.layers import merged
+from salpcc.stages.lists.aimed.aimed_layers import GONE
 from salpcc.stages.residual_code.message.column_values import decode_columns, encode_columns, find_shifts
 from salpcc.stages.residual_code.message.firing_times import (
     Clocked,
@@ -43,7 +44,6 @@ from salpcc.stages.residual_code.message.records import (
     small,
     unpacked,
 )
-from salpcc.stages.strays.aimed.aimed_layers import GONE
 
 _BY_LASER = struct.Struct("<I")  # length
 _TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks

@@ -14,11 +14,11 @@ from salpcc.stages.lattice.drivers import TURNING, measured
 from salpcc.stages.lattice.layers import Layered, merged
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.sweep import sweep_to_scan
+from salpcc.stages.lists.aimed.aimed_layers import GIVEN, OWN
+from salpcc.stages.lists.timeline import LASERS, Passed, Timeline
 from salpcc.stages.residual_code.message.blended_values import Around
 from salpcc.stages.residual_code.message.firing_times import ON_LATTICE, Fired, fired_by
 from salpcc.stages.residual_code.message.grid import Grid
-from salpcc.stages.strays.aimed.aimed_layers import GIVEN, OWN
-from salpcc.stages.strays.timeline import LASERS, Passed, Timeline
 
 # What lies around a point: those before it, those of its laser, those of its row and column; the same and a guide; its row and column, void points far away.
 LISTED, FIRED, ROWS, GUIDED = range(4)

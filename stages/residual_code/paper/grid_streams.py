@@ -15,6 +15,7 @@ from salpcc.stages.entropy.integers import decode_integers, encode_integers, int
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.ground_fit.grid_planes import PLANE_LIMIT, ground_of, predict_ground
 from salpcc.stages.ground_fit.grid_regions import REGIONS
+from salpcc.stages.lists.list_values import decode_floats, encode_floats
 from salpcc.stages.predict.paper.frames import FramePredictor
 from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.predict.values import INTENSITY_OF_LEVEL, intensity_levels
@@ -24,7 +25,6 @@ from salpcc.stages.residual_code.paper.grid_header import CLASSES, ELEVATION, FL
 from salpcc.stages.residual_code.paper.grid_images import IMAGE_CODERS
 from salpcc.stages.residual_code.paper.image_coder import Images
 from salpcc.stages.residual_code.stream import Stream
-from salpcc.stages.strays.stray_coder import decode_floats, encode_floats
 
 _NOTHING = np.zeros((ROWS, COLUMNS), np.int32)
 _CALM = np.zeros((ROWS, COLUMNS), np.uint8)

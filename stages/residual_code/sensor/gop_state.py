@@ -12,15 +12,15 @@ from salpcc.schemas.sweep import Sweep
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import TimedMotion
+from salpcc.stages.lists.learned.learned_lists import LearnedLists
+from salpcc.stages.lists.rays.ray_coder import Layout
+from salpcc.stages.lists.timed.fit_turning import Fitted
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep, warp
 from salpcc.stages.predict.learned.shipped import EFFORTS, load_models
 from salpcc.stages.residual_code import class_coder
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.sensor import correction_coder, layer_mask_coder, mask_coder
 from salpcc.stages.residual_code.sensor.value_models import ValueModels, value_models
-from salpcc.stages.strays.learned.learned_lists import LearnedLists
-from salpcc.stages.strays.rays.ray_coder import Layout
-from salpcc.stages.strays.timed.fit_turning import Fitted
 
 
 @dataclass

@@ -15,6 +15,7 @@ from salpcc.schemas.errors import ArchiveError
 from salpcc.schemas.prediction import Prediction
 from salpcc.schemas.sweep import Sweep
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lists.list_coder import are_moved, off_lattice
 from salpcc.stages.predict.sweep_walk import supports
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import LAYER, MOTION, Header, content_crc
@@ -22,7 +23,6 @@ from salpcc.stages.residual_code.sensor.payload import pack, unpack
 from salpcc.stages.residual_code.sensor.scan_state import Decoding, Encoding
 from salpcc.stages.residual_code.sensor.streams import STREAMS
 from salpcc.stages.residual_code.stream import Payload
-from salpcc.stages.strays.stray_coder import are_moved, off_lattice
 
 
 def encode_scan(

@@ -18,6 +18,9 @@ from salpcc.stages.lattice.lattice import unproject
 from salpcc.stages.lattice.layers import Layered, alone, movable_mask
 from salpcc.stages.lattice.publish import Rounded, rounded
 from salpcc.stages.lattice.sensor_model import SensorModel
+from salpcc.stages.lists.aimed.aimed_layers import Among
+from salpcc.stages.lists.list_coder import Plan, Told
+from salpcc.stages.lists.list_plan import plan
 from salpcc.stages.predict.hundredths import intensity_levels
 from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.ring_starts import ring_starts
@@ -26,8 +29,6 @@ from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.sensor.gop_state import GopState
 from salpcc.stages.residual_code.sensor.header import CLOUD, FLOAT_INTENSITY, Header
 from salpcc.stages.residual_code.sensor.value_models import ValueModels
-from salpcc.stages.strays.aimed.aimed_layers import Among
-from salpcc.stages.strays.stray_coder import Plan, Told, plan
 
 _PATIENCE = 2  # scans of a group whose points are sought by their times in vain: a search takes seconds
 

@@ -18,6 +18,10 @@ from salpcc.stages.entropy.integers import decode_integers, encode_integers, int
 from salpcc.stages.lattice.lattice import NO_CORRECTION
 from salpcc.stages.lattice.layers import Layered, alone, movable_mask
 from salpcc.stages.lattice.publish import Rounded, rounded
+from salpcc.stages.lists.aimed.aimed_layers import Among
+from salpcc.stages.lists.list_coder import decode_list, encode_list, learned_number
+from salpcc.stages.lists.list_values import decode_values, encode_values
+from salpcc.stages.lists.timeline import Timeline
 from salpcc.stages.predict.hundredths import INTENSITY_OF_LEVEL
 from salpcc.stages.predict.ring_starts import ring_starts
 from salpcc.stages.residual_code import class_coder
@@ -33,10 +37,6 @@ from salpcc.stages.residual_code.sensor.scan_state import (
     timed_beside,
 )
 from salpcc.stages.residual_code.stream import Stream
-from salpcc.stages.strays.aimed.aimed_layers import Among
-from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, learned_number
-from salpcc.stages.strays.stray_values import decode_values, encode_values
-from salpcc.stages.strays.timeline import Timeline
 
 Data = NDArray[np.uint8]
 _LENGTH = struct.Struct("<I")
@@ -165,7 +165,7 @@ def _encode_strays(scan: Encoding) -> bytes:
 def _written_strays(scan: Encoding) -> bytes:
     index, layouts = scan.sweep.stray_index, scan.state.layouts
     index = index if scan.sweep.source is None else scan.sweep.source
-    stream = encode_strays(index, scan.strays)
+    stream = encode_list(index, scan.strays)
     if len(scan.sweep.laser) or not len(index):  # not all points of a scan, in their order
         return stream
     if scan.topic in layouts:
@@ -174,7 +174,7 @@ def _written_strays(scan: Encoding) -> bytes:
         del layouts[scan.topic], scan.strays
         scan.state.turning.pop(scan.topic, None)
         scan.state.moved_by.pop(scan.topic, None)
-        stream = encode_strays(index, scan.strays)
+        stream = encode_list(index, scan.strays)
     layouts[scan.topic] = scan.strays.layout, len(stream) / len(index)
     return stream
 
@@ -191,7 +191,7 @@ def _decode_strays(scan: Decoding, stream: bytes) -> None:
         among = among_source(header.n_points, header.strays, static)
     elif beside is not None and header.returns == 0:
         among = Among.of_list(header.strays, beside, timed=partial(timed_beside, static))
-    places, points, told, sound = decode_strays(
+    places, points, told, sound = decode_list(
         header.strays,
         header.max_error,
         as_array(stream),

@@ -23,7 +23,8 @@ from salpcc.stages.lattice.drivers.sines import cosine32, sine32
 from salpcc.stages.lattice.find_lasers import Listed
 from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel
-from salpcc.stages.strays.stray_coder import decode_strays, encode_strays, plan
+from salpcc.stages.lists.list_coder import decode_list, encode_list
+from salpcc.stages.lists.list_plan import plan
 
 LASERS, FIRINGS = 8, 900
 F = np.float32
@@ -90,11 +91,11 @@ def test_calibration_finds_the_driver(formula: str, single: bool) -> None:
     assert again.to_json() == fit.model.to_json()
     assert share_identical(again, points) == pytest.approx(fit.model.bit_identical_share, abs=1e-6)
     plain = replace(fit.model, driver=None)
-    sizes = [len(encode_strays(np.arange(len(points)), plan(points, 0.0, m))) for m in (again, plain)]
+    sizes = [len(encode_list(np.arange(len(points)), plan(points, 0.0, m))) for m in (again, plain)]
     assert sizes[0] < 0.65 * sizes[1]
     for bound in (0.0, 0.01):
-        data = encode_strays(np.arange(len(points)), plan(points, bound, again, settled=bound == 0.0))
-        _, back, _, sound = decode_strays(len(points), bound, np.frombuffer(bytearray(data), np.uint8), again)
+        data = encode_list(np.arange(len(points)), plan(points, bound, again, settled=bound == 0.0))
+        _, back, _, sound = decode_list(len(points), bound, np.frombuffer(bytearray(data), np.uint8), again)
         assert sound
         assert np.linalg.norm(back.astype(np.float64) - points, axis=1).max() <= bound
 
@@ -153,8 +154,8 @@ def test_calibration_finds_beams_beside_the_axis(n: float, t: float, void: float
     assert model.bit_identical_share > 0.98
     again = SensorModel.from_json(model.to_json())
     assert again.to_json() == model.to_json()
-    data = encode_strays(np.arange(len(points)), plan(points, 0.0, again))
-    _, back, _, sound = decode_strays(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), again)
+    data = encode_list(np.arange(len(points)), plan(points, 0.0, again))
+    _, back, _, sound = decode_list(len(points), 0.0, np.frombuffer(bytearray(data), np.uint8), again)
     assert sound
     assert back.tobytes() == points.tobytes()
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from salpcc.pipeline.archive import Archive
+from salpcc.stages.lists.list_coder import AIMED
+from salpcc.stages.lists.rays.ray_forms import ALONG, BITS, GRID
 from salpcc.stages.residual_code.archive.reader import ArchiveReader
 from salpcc.stages.residual_code.gop import decode_gop, encode_gop
 from salpcc.stages.residual_code.sensor.payload import unpack
-from salpcc.stages.strays.rays.ray_forms import ALONG, BITS, GRID
-from salpcc.stages.strays.stray_coder import AIMED
 
 NETS = Path(__file__).parents[2] / "golden" / "nets"
 EXPECTED = json.loads((NETS / "expected.json").read_text())

@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.columns import costs
 from salpcc.stages.entropy.symbols import encode_symbols
+from salpcc.stages.lists.aimed.aimed_layers import OWN
 from salpcc.stages.residual_code.message.blended_values import encode_blended
 from salpcc.stages.residual_code.message.column_values import encode_columns, find_shifts
 from salpcc.stages.residual_code.message.firing_times import _sorted
 from salpcc.stages.residual_code.message.points import LISTED, Points
-from salpcc.stages.strays.aimed.aimed_layers import OWN
 
 I64 = NDArray[np.int64]
 RNG = np.random.default_rng(3)
