@@ -82,7 +82,8 @@ def segment(
         int,
         typer.Option(
             min=0,
-            help="So many wide networks learn beside it and tell it what they see, labelled or not. Meant for a GPU; on a CPU they take ten times as long as the network alone.",
+            help="So many wide networks learn beside it and tell it what they see, labelled or not. Meant for a GPU: on "
+            "a CPU two take seven times as long as the network itself.",
         ),
     ] = 2,
     steps: Annotated[int, typer.Option(min=1, help="Steps of the optimiser.")] = 2000,
