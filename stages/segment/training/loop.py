@@ -40,7 +40,6 @@ class Learner:
     """One network that learns, the average of its weights, its optimiser."""
 
     def __init__(self, recipe: Recipe, width: str, device: str) -> None:
-        self.recipe = recipe
         self.network = for_cpu(SegmentNetwork(WIDTHS[width])).to(device)
         self.average = for_cpu(SegmentNetwork(WIDTHS[width])).to(device).eval()
         self.average.load_state_dict(self.network.state_dict())
@@ -110,6 +109,10 @@ class Trainer:
             self.pupil.network.load_state_dict(self.begun)
             self.pupil.average.load_state_dict(self.begun)
 
+    def learners(self) -> dict[str, Learner]:
+        """Return all that learn, by name, the one that is asked for last."""
+        return {f"teacher{k}": teacher for k, teacher in enumerate(self.teachers)} | {"pupil": self.pupil}
+
     def rate(self) -> float:
         """Learning rate of the coming step: a short warm-up, then a cosine down to 1 %."""
         share = (self.step + 1) / self.recipe.steps
@@ -126,7 +129,7 @@ class Trainer:
         weights = torch.from_numpy(training_weights(phase.root)).to(self.device)
         said = self._said(features, sets)
         self.step += 1
-        for learner in [*self.teachers, self.pupil]:
+        for learner in self.learners().values():
             learner.network.dropped = phase.dropped
             learner.network.train()
             with torch.autocast(self.device, torch.bfloat16):
@@ -164,9 +167,9 @@ class Trainer:
 
     def save(self, path: Path) -> None:
         """Write what :meth:`resume` needs."""
-        tensors = self.pupil.tensors("pupil")
-        for k, teacher in enumerate(self.teachers):
-            tensors |= teacher.tensors(f"teacher{k}")
+        tensors: dict[str, torch.Tensor] = {}
+        for name, learner in self.learners().items():
+            tensors |= learner.tensors(name)
         facts = {"step": str(self.step), "recipe": json.dumps(asdict(self.recipe), sort_keys=True)}
         part = path.with_suffix(".part")
         save_file({k: v.detach().clone().contiguous() for k, v in tensors.items()}, str(part), facts)
@@ -189,9 +192,8 @@ class Trainer:
                 f"{path}: a checkpoint of another recipe; use the same options, or another --out"
             )
         tensors = load_file(str(path), self.device)
-        self.pupil.take_back("pupil", tensors)
-        for k, teacher in enumerate(self.teachers):
-            teacher.take_back(f"teacher{k}", tensors)
+        for name, learner in self.learners().items():
+            learner.take_back(name, tensors)
         self.step = int(facts["step"])
 
 

@@ -19,14 +19,14 @@ _NOT = len(GROUPS)  # of a group that is not movable, whichever
 _GROUP_OF_TARGET = torch.full((NOT_MOVABLE,), _NOT)
 _GROUP_OF_TARGET[:N_CLASSES] = torch.tensor(GROUP_OF_CLASS[1 : N_CLASSES + 1].astype("int64"))
 
+_MEMBERS = [
+    torch.eq(_GROUP_OF_TARGET[:N_CLASSES], group).nonzero().ravel().tolist() for group in range(len(GROUPS))
+]
+
 
 def group_logits(logits: Tensor) -> Tensor:
     """Sum classes up to groups, in the log domain: ``(N, 19)`` to ``(N, 3)``."""
-    return torch.stack([torch.logsumexp(logits[:, _members(group)], 1) for group in range(len(GROUPS))], 1)
-
-
-def _members(group: int) -> list[int]:
-    return torch.eq(_GROUP_OF_TARGET[:N_CLASSES], group).nonzero().ravel().tolist()
+    return torch.stack([torch.logsumexp(logits[:, members], 1) for members in _MEMBERS], 1)
 
 
 def lovasz(probabilities: Tensor, targets: Tensor) -> Tensor:
@@ -63,7 +63,7 @@ def teachers_loss(logits: Tensor, said: Tensor, seen: Tensor) -> Tensor:
         seen: ``(B, H, W)``, pixels with a return.
     """
     rows, said = rows_of(logits)[seen.ravel()], said[seen.ravel()]
-    groups = torch.stack([said[:, _members(group)].sum(1) for group in range(len(GROUPS))], 1)
+    groups = torch.stack([said[:, members].sum(1) for members in _MEMBERS], 1)
     apart = _divergence(torch.log_softmax(rows, 1), said)
     apart = apart + _divergence(torch.log_softmax(group_logits(rows), 1), groups)
     weights = 1.0 + _MOVABLE_MORE * groups[:, MOVABLE]
