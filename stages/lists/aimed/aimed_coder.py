@@ -22,6 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.residual_bits import code_number, size_of
+from salpcc.stages.entropy.walks import code_mixed_bit
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
 from salpcc.stages.lists.aimed.aimed_layers import GIVEN, GONE, OWN, code_next, code_role, learn_layer, take
@@ -39,8 +40,10 @@ from salpcc.stages.lists.aimed.aimed_neighbours import (
 from salpcc.stages.lists.aimed.aimed_symbols import (
     AIMED,
     CLASSES,
+    HITS,
     NAN,
     OFF,
+    PAIRS,
     ZERO,
     code_kind,
     code_laser,
@@ -58,12 +61,13 @@ class Room(NamedTuple):
 
     Attributes:
         slot_laser, relative, slot_size: of each slot its laser (-1: none), its tick from the firing's, the size of the last miss of it.
-        hop: ticks from a point of one laser to the next of another ``(L, L)``; 1 << 30: unknown.
+        hop: ticks from a point of one laser to the next of another ``(L, L)``; 1 << 30: unknown. ``after``: of each laser, the one that last came after it, where that
+            came after another one, and after itself ``(2 L,)``; -1: none.
         links: of the same laser, point before, point after ``(S, 2)``; ``ends``: of each laser, first and last point so far ``(L, 2)``;
             ``cursor``: where the neighbours above and below were last found ``(L, 2)``.
         second_of: of each laser, its last second return ``(L,)``.
         azimuth, inverse: ticks, 1/d ``(S,)``; ``beside``: 1/d of the surfaces above and below ``(S, 2)``; ``surface``: that of each point ``(S, SURFACE)``.
-        errors: of guesses ``(S, GUESSES)``; ``sizes``: of misses of the count and the corrections ``(S, 4)``; ``guess``: of one point.
+        errors: of guesses ``(S, GUESSES)``; ``sizes``: of misses of the count, of the corrections, and of the largest of these, up to 3 ``(S, 5)``; ``guess``: of one point.
         drift: of each laser, and of what is no return, last misfit in metres ``(L + 1, 3)``.
     """
 
@@ -71,6 +75,7 @@ class Room(NamedTuple):
     relative: NDArray[np.int64]
     slot_size: NDArray[np.int64]
     hop: NDArray[np.int64]
+    after: NDArray[np.int64]
     links: NDArray[np.int64]
     ends: NDArray[np.int64]
     cursor: NDArray[np.int64]
@@ -93,6 +98,7 @@ def new_room(n: int, left: int, lasers: int) -> Room:
         np.zeros(slots, np.int64),
         np.zeros(slots, np.int64),
         np.full((lasers, lasers), 1 << 30),
+        np.full(2 * lasers, -1),
         np.full((n, 2), -1),
         np.full((lasers, 2), -1),
         np.full((lasers, 2), -1),
@@ -102,7 +108,7 @@ def new_room(n: int, left: int, lasers: int) -> Room:
         np.zeros((n, 2)),
         np.zeros((n, SURFACE)),
         np.zeros((n, GUESSES), np.uint16),
-        np.zeros((n, 4), np.uint8),
+        np.zeros((n, 5), np.uint8),
         np.zeros(GUESSES),
         np.zeros((lasers + 1, 3)),
     )
@@ -149,13 +155,14 @@ def code_aimed(  # type: ignore[no-untyped-def]
     """
     parameters, constants, sines, cosines, count_size, phase, above, below, driver = sensor
     moving, m, place_of, drifting = motion
-    of_kind, of_laser, of_tick, of_pace, of_spread, of_level, of_fix, of_reach = models
+    of_kind, of_laser, of_tick, of_pace, of_spread, of_level, of_off, of_fix, of_reach = models
     n, ticks, lasers = len(points), len(sines), len(parameters)
     (
         slot_laser,
         relative,
         slot_size,
         hop,
+        after,
         links,
         ends,
         cursor,
@@ -172,19 +179,24 @@ def code_aimed(  # type: ignore[no-untyped-def]
     slots = len(slot_laser)
     base, base_cycle, pace, miss = 0, -1, 0, 0  # of firings: tick, number, ticks from one to the next
     recent, earlier_one, behind = -1, -1, 0
+    slot_now, cycle_now = -1, 0
+    pair, hits = -1, 0  # of the last point's laser and the one before it; whether lasers came when they were due
     layered = len(layer.role) > 0
     lag = max(left, up) if max(left, up) > 1 else 0
     for i in range(n):
+        slot_now += 1
+        if slot_now == slots:
+            slot_now, cycle_now = 0, cycle_now + 1
         role = OWN
         if layered and layer.organised:
             role = code_role(writing, state, data, layer, kinds, i, lag)
         elif layered:
             due, expected = -1, 0
             if left > 0:
-                due = slot_laser[i % slots]
-                expected = base + relative[i % slots] + pace * (i // slots - base_cycle)
+                due = slot_laser[slot_now]
+                expected = base + relative[slot_now] + pace * (cycle_now - base_cycle)
             elif recent >= 0:
-                due = layer.after[laser[recent]]
+                due = after[pair]
                 expected = tick[recent] + (hop[laser[recent], due] if due >= 0 else 0)
             role = code_next(writing, state, data, layer, i, behind, due, expected, ticks)
         if role == GONE:
@@ -207,25 +219,39 @@ def code_aimed(  # type: ignore[no-untyped-def]
             continue
         if state[3] != 0:
             return
-        cycle = i // slots if left > 0 else i
+        cycle = cycle_now if left > 0 else i
         x = y = z = 0.0
         k, place = 0, -1
         if kind == AIMED:
-            slot = i % slots if left > 0 else -1
+            slot = slot_now if left > 0 else -1
             known = left > 0 and slot_laser[slot] >= 0
-            before = slot_laser[slot] if known else (np.int64(laser[recent]) if recent >= 0 else 0)
+            before = np.int64(laser[recent]) if recent >= 0 else 0
             k = int(laser[i]) if given else -1
-            if learned is not None and left == 0 and not given:
-                earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
-                k = code_candidate(
-                    writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
-                )
+            if learned is not None and left == 0:
+                due = -1
+                if not given:
+                    earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
+                    k = code_candidate(
+                        writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
+                    )
+            elif known:
+                due = slot_laser[slot]
+            else:
+                due = after[pair] if left == 0 and pair >= 0 else -1
             if k < 0:
-                k = code_laser(writing, state, data, of_laser, known, before, np.int64(laser[i]))
+                k = code_laser(
+                    writing, state, data, of_laser, due, PAIRS if known else pair, hits,
+                    -1 if known else before, np.int64(laser[i]),
+                )  # fmt: skip
             if k >= lasers:
                 state[3] = 1
                 return
             laser[i] = k
+            if due >= 0:
+                hits = (hits << 1 | np.int64(k != due)) & (HITS - 1)
+            if pair >= 0:
+                after[pair] = k
+            pair = 2 * k + np.int64(recent >= 0 and k == before)
             if left == 0:
                 slot = k
             # The tick: as the firing's points before say, or the firings before; or as this pair of lasers did before.
@@ -331,23 +357,36 @@ def code_aimed(  # type: ignore[no-untyped-def]
             old = recent if place < 0 else place
             same = k if kind == AIMED else lasers
             far = min(bucket_of(np.sqrt(x * x + y * y + z * z), 0.25) // 2, 15)
+            off = np.int64(0)
+            if writing or given:
+                for c in range(3):
+                    model = x if c == 0 else (y if c == 1 else z)
+                    whole = whole_of(model + drift[same, c], form, per)
+                    off |= np.int64(whole_of(points[i, c], form, per) != whole)
+            if not given:
+                was = 4 * np.int64(sizes[old, 4]) if old >= 0 else 12
+                was += np.int64(sizes[recent, 4]) if recent >= 0 else 3
+                off = code_mixed_bit(writing, state, data, of_off, was, of_off, 16 + far, off)
+            most = np.int64(0)
             for c in range(3):
                 model = x if c == 0 else (y if c == 1 else z)
                 whole = whole_of(model + drift[same, c], form, per)
                 side = np.int64(sizes[old, 1 + c]) if old >= 0 else CLASSES - 1
                 close = np.int64(sizes[recent, 1 + c]) if recent >= 0 else CLASSES - 1
                 number = whole_of(points[i, c], form, per) - whole if writing or given else 0
-                if not given:
+                if off == 1 and not given:
                     number = code_number(
                         writing, state, data, of_fix, (c * CLASSES + side) * CLASSES + close, of_reach, c * 16 + far, number
                     )  # fmt: skip
                 sizes[i, 1 + c] = (size_of(abs(number)) + 1) // 2
+                most = max(most, np.int64(sizes[i, 1 + c]))
                 points[i, c] = coordinate_of(whole + number, form, per)
                 if drifting:  # six numbers leave a little of a motion by place, and it changes slowly
                     drift[same, c] = min(max(np.float64(points[i, c]) - model, -1.0), 1.0)
+            sizes[i, 4] = min(most, 3)
         else:
             points[i, 0], points[i, 1], points[i, 2] = x, y, z
         if kind == AIMED:
             if layered:
-                learn_layer(layer, k, np.int64(laser[recent]) if recent >= 0 else -1, role == OWN)
+                learn_layer(layer, k, role == OWN)
             earlier_one, recent = recent, i

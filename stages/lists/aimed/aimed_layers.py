@@ -117,7 +117,7 @@ class Layer(NamedTuple):
         left: how many that are OWN, and GONE, are to come ``(2,)``.
         organised: whether it is told what is gone; else what comes next.
         points, kinds, laser, tick, level: of those GIVEN ``(T,)``, as :func:`~.aimed_coder.code_aimed` has them.
-        bits: contexts. ``history``: of each laser, which of its last points are OWN, as bits; ``after``: the laser that last came after each.
+        bits: contexts. ``history``: of each laser, which of its last points are OWN, as bits.
     """
 
     role: U8
@@ -130,7 +130,6 @@ class Layer(NamedTuple):
     level: I64
     bits: NDArray[np.uint16]
     history: I64
-    after: I64
 
 
 def layer(among: Among, kinds: U8, laser: U8, tick: I64, level: I64) -> Layer:
@@ -138,7 +137,7 @@ def layer(among: Among, kinds: U8, laser: U8, tick: I64, level: I64) -> Layer:
     left = np.array([among.own, len(among.role) - len(among.given) - among.own])
     return Layer(
         among.role, left, among.width > 0, among.given, kinds, laser, tick, level,
-        new_bits(2 * max(_NEXT, _NEAR)), np.zeros(_LASERS, np.int64), np.full(_LASERS, -1),
+        new_bits(2 * max(_NEXT, _NEAR)), np.zeros(_LASERS, np.int64),
     )  # fmt: skip
 
 
@@ -219,8 +218,6 @@ def take(layer, j, i, points, kinds, laser, tick, level):  # type: ignore[no-unt
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
-def learn_layer(layer, laser, before, own):  # type: ignore[no-untyped-def]
-    """Take note of a point of a laser that came after another (-1: after none), and whether it is OWN."""
+def learn_layer(layer, laser, own):  # type: ignore[no-untyped-def]
+    """Take note of a point of a laser, and whether it is OWN."""
     layer.history[laser] = (layer.history[laser] << 1 | np.int64(own)) & 15
-    if before >= 0:
-        layer.after[before] = laser

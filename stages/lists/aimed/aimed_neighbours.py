@@ -68,8 +68,11 @@ def link_beside(i: int, k: int, at: int, way: int, links: NDArray[np.int64], end
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
 def short_way(ticks: int, turn: int) -> int:
     """Whole ticks, of so many in a turn, the short way round."""
+    half = turn // 2
+    if half - turn < ticks <= half:  # as nearly always: a division takes longer than all the rest
+        return ticks
     ticks %= turn
-    return ticks - turn if ticks > turn // 2 else ticks
+    return ticks - turn if ticks > half else ticks
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)

@@ -12,24 +12,28 @@ from salpcc.stages.entropy.walks import code_mixed_bit
 from salpcc.stages.lists.rays.ray_forms import SPREADS
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
+PAIRS, HITS = 2 * 256, 64  # contexts of "the laser that was due"
+_TREES = PAIRS + 1 + HITS  # where contexts of other lasers begin
+_FAR = 16  # classes of distance, as contexts of corrections
 CLASSES = SIZES // 2 + 1  # as contexts
 
 Bits = NDArray[np.uint16]
-Models = tuple[Bits, Bits, Bits, Bits, Bits, Bits, Bits, Bits]
+Models = tuple[Bits, ...]
 
 
 def new_models() -> Models:
-    """Return fresh contexts: of kinds, lasers, ticks (two), counts (two), and of what the model is off by (two)."""
+    """Return fresh contexts: of kinds, lasers, ticks (two), counts (two), whether the model is off, and by what (two)."""
     pairs = CLASSES * CLASSES * PER_CONTEXT
     return (
         new_bits(64 * 4),
-        new_bits(257 * 256),
+        new_bits(_TREES + 257 * 256),
         new_bits(pairs),
         new_bits(4 * CLASSES * PER_CONTEXT),
         new_bits(SPREADS * PER_CONTEXT),
         new_bits(pairs),
+        new_bits(16 + _FAR),
         new_bits(3 * pairs),
-        new_bits(3 * 16 * PER_CONTEXT),
+        new_bits(3 * _FAR * PER_CONTEXT),
     )
 
 
@@ -50,9 +54,11 @@ def code_kind(
     k3 = np.int64(kinds[i - up]) if up > 0 and i >= up else 0
     kind = np.int64(kinds[i])
     at = (k1 * 16 + k2 * 4 + k3) * 4
-    high = code_mixed_bit(writing, state, data, bits, at, bits, at + 1, kind >> 1)
-    low = code_mixed_bit(writing, state, data, bits, at + 2 + high, bits, at + 2 + high, kind & 1)
-    return high * 2 + low
+    if code_mixed_bit(writing, state, data, bits, at, bits, at, np.int64(kind != AIMED)) == 0:
+        return AIMED
+    if code_mixed_bit(writing, state, data, bits, at + 1, bits, at + 1, np.int64(kind != ZERO)) == 0:
+        return ZERO
+    return NAN + code_mixed_bit(writing, state, data, bits, at + 2, bits, at + 2, np.int64(kind == OFF))
 
 
 @njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
@@ -61,17 +67,24 @@ def code_laser(
     state: NDArray[np.int64],
     data: NDArray[np.uint8],
     bits: Bits,
-    known: bool,
+    due: int,
+    pair: int,
+    hits: int,
     before: int,
     laser: int,
 ) -> int:
-    """Where ``known``, the laser is most often the one before at this place; else it depends on the point before."""
-    if known:
-        if code_mixed_bit(writing, state, data, bits, 0, bits, 0, np.int64(laser != before)) == 0:
-            return before
-        before = 0
+    """Write the laser of a point, or read and return it: most often the one that is ``due`` (-1: none); else it depends on the one ``before`` (-1: none).
+
+    Args:
+        pair: of lasers that came before, up to PAIRS.
+        hits: whether those due lately came, as bits below HITS.
+    """
+    if due >= 0:
+        other = np.int64(laser != due)
+        if code_mixed_bit(writing, state, data, bits, pair, bits, PAIRS + 1 + hits, other) == 0:
+            return due
     node = 1
     for b in range(7, -1, -1):
-        at = ((0 if known else 1 + before) * 256) + node
+        at = _TREES + (1 + before) * 256 + node
         node = node << 1 | code_mixed_bit(writing, state, data, bits, at, bits, at, (laser >> b) & 1)
     return node & 255
