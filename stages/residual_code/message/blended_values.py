@@ -119,12 +119,12 @@ def _code(  # type: ignore[no-untyped-def]
                 near[4] = recent[below[k], 0]
             near[5] = before
         total = mean = miss = 0.0
+        per = 1.0 / ranges[i]
         for j in range(AROUND):
             if near[j] < 0:
                 continue
-            apart = abs(ranges[near[j]] - ranges[i]) / ranges[i] + _ALIKE
-            alike = 1.0 / (apart * apart)
-            alike = (alike if j in (0, 2) else 0.5 * alike) / (1.0 + missed[near[j]])
+            apart = abs(ranges[near[j]] - ranges[i]) * per + _ALIKE
+            alike = (1.0 if j in (0, 2) else 0.5) / (apart * apart * (1.0 + missed[near[j]]))
             if learned is not None:
                 learned.apart[j], learned.alike[j] = apart, alike
             total += alike
@@ -133,7 +133,7 @@ def _code(  # type: ignore[no-untyped-def]
         key, guided, square = 0, 0.0, ranges[i] * ranges[i]
         if len(guide) > 0:
             key = guide[i] & (_KEYS - 1)
-            guided = lit[key] / square
+            guided = lit[key] * per * per
             if times[key] > 0.0:
                 alike = _GUIDED / (1.0 + stray[key])
                 if learned is not None:
@@ -181,8 +181,9 @@ def _code(  # type: ignore[no-untyped-def]
                 stray[key] += gain * (abs(values[i] - guided) - stray[key])
             lit[key] += gain * (values[i] * square - lit[key])
             times[key] += 1.0
+        learning = _RATE * error / power
         for j in range(AROUND):
-            weight[j] = min(max(weight[j] + _RATE * error * off[j] / power, -2.0), 2.0)
+            weight[j] = min(max(weight[j] + learning * off[j], -2.0), 2.0)
         before = i
         if width == 0:
             recent[laser[i], 1] = recent[laser[i], 0]
