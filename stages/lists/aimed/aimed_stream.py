@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
@@ -94,24 +95,56 @@ def put(points: F32, sensor: SensorModel, way: Way, reach: float) -> Aimed:
     if way.motion is not None:
         still = undo(wide, way.places(len(points)), np.array(way.motion))
     laser, tick, count, _ = aim(sensor, still)
-    level = np.clip(count // way.step, 0, MAX_LEVEL)
+    level = np.clip(count if way.step == 1 else count // way.step, 0, MAX_LEVEL)
     known = np.maximum(laser, 0).astype(np.uint8)
     model, origin = _decoded(known, tick, level, sensor, way)
-    kinds = np.where((laser >= 0) & _within(points, model, reach), AIMED, OFF).astype(np.uint8)
-    bits = points.view(np.int32)
-    if way.motion is None:
-        kinds[(bits == 0).all(axis=1)] = ZERO
-    else:
-        kinds[_within(points, origin, reach)] = ZERO
-    kinds[(bits == NAN_BITS).all(axis=1)] = NAN
-    if way.form == GRID:  # what is no whole unit, or is a -0.0, no correction makes
-        with np.errstate(over="ignore"):
-            whole = (np.rint(np.nan_to_num(wide) * way.per) / way.per + 0.0).astype(np.float32)
-        kinds[(kinds != NAN) & (whole.view(np.int32) != bits).any(axis=1)] = OFF
-    moved = points.copy()
-    moved[kinds == AIMED] = model[kinds == AIMED]
-    moved[kinds == ZERO] = origin[kinds == ZERO]
+    moved, kinds = points.copy(), np.empty(len(points), np.uint8)
+    units = float(way.per) if way.form == GRID else 0.0
+    _sort(moved, laser, model, origin, way.motion is not None, reach, units, kinds)
     return Aimed(moved, kinds, known, tick, level)
+
+
+@njit(cache=True, error_model="numpy")
+def _near(points: F32, i: int, model: NDArray[np.float64], reach: float) -> bool:
+    """Whether point i is within ``reach`` metres of its float32 model point; 0: the same to the bit."""
+    far = 0.0
+    for c in range(3):
+        there = np.float32(model[i, c])
+        if reach == 0.0 and np.float32(there).view(np.int32) != np.float32(points[i, c]).view(np.int32):
+            return False
+        off = np.float64(there) - np.float64(points[i, c])
+        far += off * off
+    return reach == 0.0 or np.sqrt(far) <= reach
+
+
+@njit(cache=True, error_model="numpy")
+def _sort(  # type: ignore[no-untyped-def]
+    points, laser, model, origin, moving, reach, per, kinds
+):  # fmt: skip
+    """Tell the kinds of points ``(S, 3)`` with lasers (-1: none), and move those on the lattice, and those of no return, to where they decode to; ``per`` as of corrections of form GRID, else 0."""
+    for i in range(len(points)):
+        kind = AIMED if laser[i] >= 0 and _near(points, i, model, reach) else OFF
+        zeros = nans = 0
+        whole = True  # what is no whole unit, or is a -0.0, no correction makes
+        for c in range(3):
+            bits = np.float32(points[i, c]).view(np.int32)
+            zeros += bits == 0
+            nans += bits == NAN_BITS
+            if per > 0.0:
+                unit = np.rint(np.float64(points[i, c]) * per) / per + 0.0
+                whole &= np.float32(unit).view(np.int32) == bits
+        if _near(points, i, origin, reach) if moving else zeros == 3:
+            kind = ZERO
+        if not whole:
+            kind = OFF
+        if nans == 3:
+            kind = NAN
+        kinds[i] = kind
+        for c in range(3):
+            if kind == AIMED:
+                points[i, c] = np.float32(model[i, c])
+            elif kind == ZERO and moving:
+                points[i, c] = np.float32(origin[i, c])
 
 
 def is_shuffled(aimed: Aimed, sensor: SensorModel) -> bool:
@@ -153,9 +186,9 @@ def _decoded(
     """Where places on the lattice decode to, ``(S, 3)``, and where no return would."""
     middle = (level * way.step + 0.5 * (way.step - 1)).astype(np.float64)
     model = driven(sensor, laser, tick.astype(np.int32), middle)
-    origin = np.zeros(model.shape)
     if way.motion is None:
-        return model, origin
+        return model, np.zeros((0, 3))
+    origin = np.zeros(model.shape)
     s, motion = way.places(len(laser)), np.array(way.motion)
     return redo(model, s, motion), redo(origin, s, motion)
 
@@ -181,8 +214,7 @@ def write_aimed(
     if among is not None:
         walked, part = aimed.some(slice(None)), _layer(among, aimed.some(among.role == GIVEN))
     _code(True, told, walked, sensor, way, 0.0, state, out, part)
-    on = aimed.kinds != OFF
-    if (told.view(np.int32)[on] != points.view(np.int32)[on]).any():
+    if ((told.view(np.int32) != points.view(np.int32)) & (aimed.kinds != OFF)[:, None]).any():
         return -1
     return int(finish_encoder(state, out))
 
