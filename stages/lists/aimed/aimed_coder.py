@@ -43,7 +43,6 @@ from salpcc.stages.lists.aimed.aimed_symbols import (
     HITS,
     NAN,
     OFF,
-    PAIRS,
     ZERO,
     code_kind,
     code_laser,
@@ -61,8 +60,8 @@ class Room(NamedTuple):
 
     Attributes:
         slot_laser, relative, slot_size: of each slot its laser (-1: none), its tick from the firing's, the size of the last miss of it.
-        hop: ticks from a point of one laser to the next of another ``(L, L)``; 1 << 30: unknown. ``after``: of each laser, the one that last came after it, where that
-            came after another one, and after itself ``(2 L,)``; -1: none.
+        hop: ticks from a point of one laser to the next of another ``(L, L)``; 1 << 30: unknown. ``after``: of each laser, the two that last came
+            after it ``(L, 2)``; -1: none.
         links: of the same laser, point before, point after ``(S, 2)``; ``ends``: of each laser, first and last point so far ``(L, 2)``;
             ``cursor``: where the neighbours above and below were last found ``(L, 2)``.
         second_of: of each laser, its last second return ``(L,)``.
@@ -98,7 +97,7 @@ def new_room(n: int, left: int, lasers: int) -> Room:
         np.zeros(slots, np.int64),
         np.zeros(slots, np.int64),
         np.full((lasers, lasers), 1 << 30),
-        np.full(2 * lasers, -1),
+        np.full((lasers, 2), -1),
         np.full((n, 2), -1),
         np.full((lasers, 2), -1),
         np.full((lasers, 2), -1),
@@ -180,7 +179,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
     base, base_cycle, pace, miss = 0, -1, 0, 0  # of firings: tick, number, ticks from one to the next
     recent, earlier_one, behind = -1, -1, 0
     slot_now, cycle_now = -1, 0
-    pair, hits = -1, 0  # of the last point's laser and the one before it; whether lasers came when they were due
+    hits = 0  # whether lasers came when they were due
     layered = len(layer.role) > 0
     lag = max(left, up) if max(left, up) > 1 else 0
     for i in range(n):
@@ -196,7 +195,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 due = slot_laser[slot_now]
                 expected = base + relative[slot_now] + pace * (cycle_now - base_cycle)
             elif recent >= 0:
-                due = after[pair]
+                due = after[laser[recent], 0]
                 expected = tick[recent] + (hop[laser[recent], due] if due >= 0 else 0)
             role = code_next(writing, state, data, layer, i, behind, due, expected, ticks)
         if role == GONE:
@@ -227,31 +226,28 @@ def code_aimed(  # type: ignore[no-untyped-def]
             known = left > 0 and slot_laser[slot] >= 0
             before = np.int64(laser[recent]) if recent >= 0 else 0
             k = int(laser[i]) if given else -1
-            if learned is not None and left == 0:
-                due = -1
-                if not given:
-                    earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
-                    k = code_candidate(
-                        writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
-                    )
-            elif known:
+            due = second = -1
+            if known:
                 due = slot_laser[slot]
-            else:
-                due = after[pair] if left == 0 and pair >= 0 else -1
+            elif left == 0 and recent >= 0 and learned is None:
+                due, second = after[before, 0], after[before, 1]
+            elif left == 0 and not given and learned is not None:
+                earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
+                k = code_candidate(
+                    writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
+                )
             if k < 0:
                 k = code_laser(
-                    writing, state, data, of_laser, due, PAIRS if known else pair, hits,
-                    -1 if known else before, np.int64(laser[i]),
-                )  # fmt: skip
+                    writing, state, data, of_laser, due, second, -1 if known else before, hits, np.int64(laser[i])
+                )
             if k >= lasers:
                 state[3] = 1
                 return
             laser[i] = k
             if due >= 0:
                 hits = (hits << 1 | np.int64(k != due)) & (HITS - 1)
-            if pair >= 0:
-                after[pair] = k
-            pair = 2 * k + np.int64(recent >= 0 and k == before)
+            if left == 0 and recent >= 0 and after[before, 0] != k:
+                after[before, 0], after[before, 1] = k, after[before, 0]
             if left == 0:
                 slot = k
             # The tick: as the firing's points before say, or the firings before; or as this pair of lasers did before.

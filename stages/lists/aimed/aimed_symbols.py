@@ -12,8 +12,8 @@ from salpcc.stages.entropy.walks import code_mixed_bit
 from salpcc.stages.lists.rays.ray_forms import SPREADS
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
-PAIRS, HITS = 2 * 256, 64  # contexts of "the laser that was due"
-_TREES = PAIRS + 1 + HITS  # where contexts of other lasers begin
+HITS = 64  # histories of "the laser that was due came", as contexts
+_DUE = 2 * (257 + HITS)  # contexts of "it is this one", behind those of other lasers
 _FAR = 16  # classes of distance, as contexts of corrections
 CLASSES = SIZES // 2 + 1  # as contexts
 
@@ -26,7 +26,7 @@ def new_models() -> Models:
     pairs = CLASSES * CLASSES * PER_CONTEXT
     return (
         new_bits(64 * 4),
-        new_bits(_TREES + 257 * 256),
+        new_bits(257 * 256 + _DUE),
         new_bits(pairs),
         new_bits(4 * CLASSES * PER_CONTEXT),
         new_bits(SPREADS * PER_CONTEXT),
@@ -68,23 +68,25 @@ def code_laser(
     data: NDArray[np.uint8],
     bits: Bits,
     due: int,
-    pair: int,
-    hits: int,
+    second: int,
     before: int,
+    hits: int,
     laser: int,
 ) -> int:
-    """Write the laser of a point, or read and return it: most often the one that is ``due`` (-1: none); else it depends on the one ``before`` (-1: none).
+    """Write the laser of a point, or read and return it: most often the one that is ``due``, or the ``second`` (-1: none); else it depends on the one ``before`` (-1: none).
 
     Args:
-        pair: of lasers that came before, up to PAIRS.
         hits: whether those due lately came, as bits below HITS.
     """
-    if due >= 0:
-        other = np.int64(laser != due)
-        if code_mixed_bit(writing, state, data, bits, pair, bits, PAIRS + 1 + hits, other) == 0:
-            return due
+    for way in range(2):
+        one = due if way == 0 else second
+        if one >= 0:
+            at = 257 * 256 + way * (257 + HITS)
+            other = np.int64(laser != one)
+            if code_mixed_bit(writing, state, data, bits, at + 1 + before, bits, at + 257 + hits, other) == 0:
+                return one
     node = 1
     for b in range(7, -1, -1):
-        at = _TREES + (1 + before) * 256 + node
+        at = (1 + before) * 256 + node
         node = node << 1 | code_mixed_bit(writing, state, data, bits, at, bits, at, (laser >> b) & 1)
     return node & 255
