@@ -75,6 +75,7 @@ class Room(NamedTuple):
     slot_size: NDArray[np.int64]
     hop: NDArray[np.int64]
     after: NDArray[np.int64]
+    pairs: NDArray[np.uint8]
     links: NDArray[np.int64]
     ends: NDArray[np.int64]
     cursor: NDArray[np.int64]
@@ -98,6 +99,7 @@ def new_room(n: int, left: int, lasers: int) -> Room:
         np.zeros(slots, np.int64),
         np.full((lasers, lasers), 1 << 30),
         np.full((lasers, 2), -1),
+        np.full((lasers, lasers), 255, np.uint8),
         np.full((n, 2), -1),
         np.full((lasers, 2), -1),
         np.full((lasers, 2), -1),
@@ -162,6 +164,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
         slot_size,
         hop,
         after,
+        pairs,
         links,
         ends,
         cursor,
@@ -231,6 +234,9 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 due = slot_laser[slot]
             elif left == 0 and recent >= 0 and learned is None:
                 due, second = after[before, 0], after[before, 1]
+                last = np.int64(pairs[before, np.int64(laser[earlier_one])]) if earlier_one >= 0 else 255
+                if last != 255 and last != due:
+                    due, second = last, due
             elif left == 0 and not given and learned is not None:
                 earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
                 k = code_candidate(
@@ -246,6 +252,8 @@ def code_aimed(  # type: ignore[no-untyped-def]
             laser[i] = k
             if due >= 0:
                 hits = (hits << 1 | np.int64(k != due)) & (HITS - 1)
+            if left == 0 and recent >= 0 and earlier_one >= 0:
+                pairs[before, np.int64(laser[earlier_one])] = k
             if left == 0 and recent >= 0 and after[before, 0] != k:
                 after[before, 0], after[before, 1] = k, after[before, 0]
             if left == 0:
