@@ -42,10 +42,13 @@ from salpcc.stages.lists.aimed.aimed_symbols import (
     CLASSES,
     HITS,
     NAN,
+    NOBODY,
     OFF,
     ZERO,
     code_kind,
     code_laser,
+    due_lasers,
+    learn_after,
 )
 from salpcc.stages.lists.learned.learned_counts import code_count
 from salpcc.stages.lists.learned.learned_order import code_candidate, code_tick, learn_order
@@ -60,8 +63,8 @@ class Room(NamedTuple):
 
     Attributes:
         slot_laser, relative, slot_size: of each slot its laser (-1: none), its tick from the firing's, the size of the last miss of it.
-        hop: ticks from a point of one laser to the next of another ``(L, L)``; 1 << 30: unknown. ``after``: of each laser, the two that last came
-            after it ``(L, 2)``; -1: none.
+        hop: ticks from a point of one laser to the next of another ``(L, L)``; 1 << 30: unknown. ``after``, ``pairs``: lasers that came next
+            (:func:`~.aimed_symbols.due_lasers`).
         links: of the same laser, point before, point after ``(S, 2)``; ``ends``: of each laser, first and last point so far ``(L, 2)``;
             ``cursor``: where the neighbours above and below were last found ``(L, 2)``.
         second_of: of each laser, its last second return ``(L,)``.
@@ -99,7 +102,7 @@ def new_room(n: int, left: int, lasers: int) -> Room:
         np.zeros(slots, np.int64),
         np.full((lasers, lasers), 1 << 30),
         np.full((lasers, 2), -1),
-        np.full((lasers, lasers), 255, np.uint8),
+        np.full((lasers, lasers), NOBODY, np.uint8),
         np.full((n, 2), -1),
         np.full((lasers, 2), -1),
         np.full((lasers, 2), -1),
@@ -189,16 +192,20 @@ def code_aimed(  # type: ignore[no-untyped-def]
         slot_now += 1
         if slot_now == slots:
             slot_now, cycle_now = 0, cycle_now + 1
+        due = second = -1
+        if left > 0:
+            due = slot_laser[slot_now]
+        elif recent >= 0:
+            due, second = due_lasers(after, pairs, laser, recent, earlier_one)
+        known = left > 0 and due >= 0
         role = OWN
         if layered and layer.organised:
             role = code_role(writing, state, data, layer, kinds, i, lag)
         elif layered:
-            due, expected = -1, 0
+            expected = 0
             if left > 0:
-                due = slot_laser[slot_now]
                 expected = base + relative[slot_now] + pace * (cycle_now - base_cycle)
             elif recent >= 0:
-                due = after[laser[recent], 0]
                 expected = tick[recent] + (hop[laser[recent], due] if due >= 0 else 0)
             role = code_next(writing, state, data, layer, i, behind, due, expected, ticks)
         if role == GONE:
@@ -226,22 +233,15 @@ def code_aimed(  # type: ignore[no-untyped-def]
         k, place = 0, -1
         if kind == AIMED:
             slot = slot_now if left > 0 else -1
-            known = left > 0 and slot_laser[slot] >= 0
             before = np.int64(laser[recent]) if recent >= 0 else 0
             k = int(laser[i]) if given else -1
-            due = second = -1
-            if known:
-                due = slot_laser[slot]
-            elif left == 0 and recent >= 0 and learned is None:
-                due, second = after[before, 0], after[before, 1]
-                last = np.int64(pairs[before, np.int64(laser[earlier_one])]) if earlier_one >= 0 else 255
-                if last != 255 and last != due:
-                    due, second = last, due
-            elif left == 0 and not given and learned is not None:
-                earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
-                k = code_candidate(
-                    writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
-                )
+            if learned is not None and left == 0:
+                due = second = -1
+                if not given:
+                    earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
+                    k = code_candidate(
+                        writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
+                    )
             if k < 0:
                 k = code_laser(
                     writing, state, data, of_laser, due, second, -1 if known else before, hits, np.int64(laser[i])
@@ -252,10 +252,8 @@ def code_aimed(  # type: ignore[no-untyped-def]
             laser[i] = k
             if due >= 0:
                 hits = (hits << 1 | np.int64(k != due)) & (HITS - 1)
-            if left == 0 and recent >= 0 and earlier_one >= 0:
-                pairs[before, np.int64(laser[earlier_one])] = k
-            if left == 0 and recent >= 0 and after[before, 0] != k:
-                after[before, 0], after[before, 1] = k, after[before, 0]
+            if left == 0 and recent >= 0:
+                learn_after(after, pairs, laser, recent, earlier_one, k)
             if left == 0:
                 slot = k
             # The tick: as the firing's points before say, or the firings before; or as this pair of lasers did before.

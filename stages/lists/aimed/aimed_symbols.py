@@ -12,6 +12,7 @@ from salpcc.stages.entropy.walks import code_mixed_bit
 from salpcc.stages.lists.rays.ray_forms import SPREADS
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
+NOBODY = 255  # no laser, of those that came next
 HITS = 64  # histories of "the laser that was due came", as contexts
 _DUE = 2 * (257 + HITS)  # contexts of "it is this one", behind those of other lasers
 _FAR = 16  # classes of distance, as contexts of corrections
@@ -59,6 +60,29 @@ def code_kind(
     if code_mixed_bit(writing, state, data, bits, at + 1, bits, at + 1, np.int64(kind != ZERO)) == 0:
         return ZERO
     return NAN + code_mixed_bit(writing, state, data, bits, at + 2, bits, at + 2, np.int64(kind == OFF))
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def due_lasers(after, pairs, laser, recent, earlier):  # type: ignore[no-untyped-def]
+    """Return the two lasers most likely next after the points ``recent`` and ``earlier`` (-1: none); -1: none.
+
+    Args:
+        after: of each laser, the two that last came after it ``(L, 2)``; -1: none.
+        pairs: of each laser and the one before it, the one that last came after both ``(L, L)``; NOBODY: none.
+    """
+    last, other = after[laser[recent], 0], after[laser[recent], 1]
+    of_both = np.int64(pairs[laser[recent], laser[earlier]]) if earlier >= 0 else NOBODY
+    return (last, other) if of_both in (NOBODY, last) else (of_both, last)
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def learn_after(after, pairs, laser, recent, earlier, k):  # type: ignore[no-untyped-def]
+    """Take note that laser ``k`` came next."""
+    if earlier >= 0:
+        pairs[laser[recent], laser[earlier]] = k
+    before = laser[recent]
+    if after[before, 0] != k:
+        after[before, 0], after[before, 1] = k, after[before, 0]
 
 
 @njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
