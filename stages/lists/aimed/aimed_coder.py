@@ -240,18 +240,34 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 if not given:
                     earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
                     k = code_candidate(
-                        writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
+                        writing,
+                        state,
+                        data,
+                        learned.order,
+                        learned.heard,
+                        i,
+                        before,
+                        earlier,
+                        np.int64(laser[i]),
                     )
             if k < 0:
                 k = code_laser(
-                    writing, state, data, of_laser, due, second, -1 if known else before, hits, np.int64(laser[i])
+                    writing,
+                    state,
+                    data,
+                    of_laser,
+                    due,
+                    second,
+                    -1 if known else before,
+                    hits,
+                    np.int64(laser[i]),
                 )
             if k >= lasers:
                 state[3] = 1
                 return
             laser[i] = k
             if due >= 0:
-                hits = (hits << 1 | np.int64(k != due)) & (HITS - 1)
+                hits = (hits << 1 | int(k != due)) & (HITS - 1)
             if left == 0 and recent >= 0:
                 learn_after(after, pairs, laser, recent, earlier_one, k)
             if left == 0:
