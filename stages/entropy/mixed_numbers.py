@@ -15,8 +15,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.mixing import EVEN, ODDS, code_given_bit, logistic, odds
+from salpcc.stages.entropy.powers import above
 from salpcc.stages.entropy.residual_bits import SIZES, size_of
 from salpcc.stages.entropy.walks import Buffer, State
+from salpcc.stages.vectors import Lanes, lane, load, size, store, totals
 
 NODES = 64  # of a context
 GIVEN = 2  # opinions beside those of contexts: the mixture's, and one that never changes
@@ -29,6 +31,8 @@ _GAIN = np.array(
     [int(65536 / (count + 1.6)) for count in range(128)]
 )  # of a context that has seen so many bits
 _RATE = 0.01  # of learning
+LANES = 16
+_HALF, _HARDLY = np.float32(0.5), np.float32(1e-7)
 _TRUST_RATE, _LEAST_TRUST, _MOST_TRUST = 0.02, 0.01, 100.0
 
 F64 = NDArray[np.float64]
@@ -42,12 +46,15 @@ class Numbers(NamedTuple):
 
 
 class Guesses(NamedTuple):
-    """Room for the guesses of one number: where each stands, 1 / its width, its weight, and how likely it found the number, so weighted."""
+    """Room for the guesses of one number: where each stands, 1 / its width, its weight.
+
+    ``lanes``: of up to LANES guesses, side by side, where they stand from some number on, 1 / widths, weights, and how likely they found the number, so weighted ``(4 LANES,)``.
+    """
 
     mean: F64
     per: F64
     weight: F64
-    likely: F64
+    lanes: NDArray[np.float32]
 
 
 def first_places(contexts: Sequence[int]) -> NDArray[np.int64]:
@@ -70,8 +77,8 @@ def new_numbers(contexts: int, sets: int, opinions: int, nodes: int = NODES) -> 
 
 
 def new_guesses(most: int) -> Guesses:
-    """Return room for up to ``most`` guesses."""
-    return Guesses(np.zeros(most), np.ones(most), np.zeros(most), np.zeros(most))
+    """Return room for up to ``most`` guesses, at most LANES."""
+    return Guesses(np.zeros(most), np.ones(most), np.zeros(most), np.zeros(4 * LANES, np.float32))
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
@@ -80,8 +87,9 @@ def weigh(guesses: Guesses, n: int, centre: float) -> float:
     total, densest = 1e-4, 0.0
     for j in range(n):
         total += guesses.weight[j]
+    share = 1.0 / total
     for j in range(n):
-        guesses.weight[j] /= total
+        guesses.weight[j] *= share
         density = guesses.weight[j] * guesses.per[j]
         if density > densest:
             densest, centre = density, guesses.mean[j]
@@ -89,13 +97,28 @@ def weigh(guesses: Guesses, n: int, centre: float) -> float:
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def _below(x: float, guesses: Guesses, n: int) -> float:
-    """Distribution function of the mixture."""
-    total = 0.0
+def _lay_out(guesses: Guesses, n: int, origin: int) -> None:
+    """Put the first ``n`` guesses side by side, as seen from ``origin``."""
+    lanes = guesses.lanes
     for j in range(n):
-        if guesses.weight[j] != 0.0:
-            total += guesses.weight[j] * logistic((x - guesses.mean[j]) * guesses.per[j])
-    return total
+        lanes[j] = np.float32(guesses.mean[j] - origin)
+        lanes[LANES + j] = np.float32(guesses.per[j])
+        lanes[2 * LANES + j] = np.float32(guesses.weight[j])
+    for j in range(n, LANES):
+        lanes[2 * LANES + j] = np.float32(0.0)
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def _beyond(lanes: NDArray[np.float32], side: float, distance: float) -> Lanes:
+    """Of each guess, what is farther than a distance from the origin on one side (1 or -1)."""
+    off = np.float32(distance) - np.float32(side) * load(lanes, 0, LANES)
+    return load(lanes, 2 * LANES, LANES) * above(off * load(lanes, LANES, LANES))
+
+
+@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
+def _farther(lanes: NDArray[np.float32], side: float, distance: float) -> float:
+    """Of the mixture, what is at least a whole distance from the origin on one side."""
+    return np.float64(lane(totals(_beyond(lanes, side, distance - 0.5)), 0))
 
 
 @njit(cache=True, error_model="numpy", inline="always", _nrt=False)
@@ -158,7 +181,10 @@ def code_mixed_number(
     middle = np.int64(np.floor(centre + 0.5))
     distance = abs(value - middle)
     wanted = size_of(distance) - 1
-    low, high = _below(middle - 0.5, guesses, n), 1.0 - _below(middle + 0.5, guesses, n)
+    lanes = guesses.lanes
+    _lay_out(guesses, n, middle)
+    both = totals(_beyond(lanes, -1.0, 0.5), _beyond(lanes, 1.0, 0.5))
+    low, high = np.float64(lane(both, 0)), np.float64(lane(both, 1))
     # Of the mixture, what is as far away as the bit before says, or farther; and what is farther still, and beyond the bit that is asked for.
     inner, outer, beyond = 0.0, 0.0, 0.0
     asked, node, share = _CENTRE, 0, low + high
@@ -198,13 +224,13 @@ def code_mixed_number(
         else:
             outer = beyond
         if asked == _MORE:
-            outer = _beyond(middle, side, np.float64(2 << size), guesses, n)
+            outer = _farther(lanes, side, np.float64(2 << size))
             node, share = 2 + min(size, _MOST_SIZES), (outer + 1e-6) / (inner + 2e-6)
             continue
         shift -= 1
         if shift < 0:
             return int(middle - found if side < 0.0 else middle + found)
-        beyond = _beyond(middle, side, np.float64(found + (np.int64(1) << shift)), guesses, n)
+        beyond = _farther(lanes, side, np.float64(found + (np.int64(1) << shift)))
         share = (beyond - outer + 1e-7) / (inner - outer + 2e-7)
         known = size - 1 - shift
         node = -1
@@ -213,28 +239,19 @@ def code_mixed_number(
             node += 0 if known == 0 else 1 + int((found >> (shift + 1)) & 1)
 
 
-@njit(cache=True, error_model="numpy", inline="always", _nrt=False)
-def _beyond(middle: int, side: float, distance: float, guesses: Guesses, n: int) -> float:
-    """Of the mixture, what is at least so far from the middle on one side."""
-    below = _below(middle + side * (distance - 0.5), guesses, n)
-    return below if side < 0.0 else 1.0 - below
-
-
 @njit(cache=True, error_model="numpy", _nrt=False)
 def learn_trust(value: int, guesses: Guesses, n: int, trust: F64, which: int) -> None:
     """Move the trust ``trust[which]`` in each of the ``n`` guesses towards its share in how likely ``value`` was."""
-    total = 0.0
-    for j in range(n):
-        if guesses.weight[j] == 0.0:
-            guesses.likely[j] = 0.0
-            continue
-        at, per = guesses.mean[j], guesses.per[j]
-        likely = logistic((value + 0.5 - at) * per) - logistic((value - 0.5 - at) * per) + 1e-7
-        guesses.likely[j] = guesses.weight[j] * likely
-        total += guesses.likely[j]
-    total = 1.0 / total
+    lanes = guesses.lanes
+    _lay_out(guesses, n, value)
+    off, per = size(load(lanes, 0, LANES)), load(lanes, LANES, LANES)
+    likely = above((off - _HALF) * per) - above((off + _HALF) * per) + _HARDLY
+    likely = load(lanes, 2 * LANES, LANES) * likely
+    store(lanes, 3 * LANES, likely)
+    per_likely = 1.0 / np.float64(lane(totals(likely), 0))
     for j in range(n):
         if guesses.weight[j] == 0.0:  # who says nothing is trusted as before
             continue
-        moved = trust[which, j] * (1.0 + _TRUST_RATE * (guesses.likely[j] * total - guesses.weight[j]))
+        moved = lanes[3 * LANES + j] * per_likely - guesses.weight[j]
+        moved = trust[which, j] * (1.0 + _TRUST_RATE * moved)
         trust[which, j] = min(max(moved, _LEAST_TRUST), _MOST_TRUST)

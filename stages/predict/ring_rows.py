@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.predict.sweep_walk import longest_ring
-from salpcc.stages.predict.vectors import inline
+from salpcc.stages.vectors import inline
 
 PAD = 8  # returns of a margin
 SLACK = 8  # room behind the last margin that vectors may read

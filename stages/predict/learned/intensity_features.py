@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.predict.learned.range_features import rounded, squash
 from salpcc.stages.predict.ring_rows import PAD
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.vectors import (
     Lanes,
     choose,
     inline,
@@ -30,7 +30,7 @@ from salpcc.stages.predict.vectors import (
     store,
     totals,
 )
-from salpcc.stages.predict.vectors import size as size_of
+from salpcc.stages.vectors import size as size_of
 
 LEFT = 6
 INPUTS = 56

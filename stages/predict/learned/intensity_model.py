@@ -55,7 +55,7 @@ from salpcc.stages.predict.learned.walks import (
 )
 from salpcc.stages.predict.ring_rows import PAD, align, place_rings
 from salpcc.stages.predict.sweep_walk import laser_constants
-from salpcc.stages.predict.vectors import inline, kernel, load, store
+from salpcc.stages.vectors import inline, kernel, load, store
 
 _START = np.float32(3.0)
 _OLD, _NEW = np.float32(0.75), np.float32(0.25)  # weights of running means

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.vectors import Lanes, inline, join, lane, load, splice, spread, totals
+from salpcc.stages.vectors import Lanes, inline, join, lane, load, splice, spread, totals
 
 LEFT, UPPER, SECOND = 8, 10, 6
 SLOTS = 24

@@ -1,7 +1,6 @@
 """A mixture of logistics as an exact cumulative distribution over levels.
 
-Exponentials are powers, ``exp(y)`` is ``(1 + y / n) ^ n`` with n a power of two: products of float32, and rounded products and quotients
-of what grows grow, too. So the distribution never falls, and it is the same on every machine.
+Exponentials are powers (:mod:`~salpcc.stages.entropy.powers`), so the distribution never falls, and it is the same on every machine.
 
 A mixture is a row of a float32 array: the PLACES means in counts, then the inverse scales, then the weights, which sum to what the levels
 share. A place without a component has weight 0.
@@ -12,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.entropy.powers import above, to_the_256th
+from salpcc.stages.vectors import (
     Lanes,
     cast,
     highest,
@@ -37,7 +37,6 @@ SHARED = (9, 0)  # predictors of the components beyond the first ten
 _MEANS, _INVERSES, _WEIGHTS = 0, 16, 32
 _SCALE_SHIFT, _SCALE_LOW, _SCALE_HIGH = np.float32(2.0), np.float32(-2.0), np.float32(9.0)  # logarithms
 _OFFSET_LIMIT = np.float32(8.0)
-_REACH = np.float32(17.0 / 256)
 _PER_256, _PER_4096 = np.float32(1.0 / 256), np.float32(1.0 / 4096)
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _PART = np.float32(1.0 / TOTAL)
@@ -53,13 +52,6 @@ def output_places(predictors: int) -> tuple[int, ...]:
 
 
 @inline
-def _to_the_256th(x: Lanes) -> Lanes:
-    for _ in range(8):
-        x = x * x
-    return x
-
-
-@inline
 def set_mixture(sums: I32, p: int, shift: int, mu: F32, to: int, levels: int, mixture: F32) -> None:
     """Turn a network's answer, row ``p`` of ``sums``, and the predictions into a mixture over so many levels, row ``to`` of ``mixture``.
 
@@ -71,13 +63,13 @@ def set_mixture(sums: I32, p: int, shift: int, mu: F32, to: int, levels: int, mi
     unit = _ONE / np.float32(1 << shift)
     logits = load(sums, row, 16)
     depth = cast(highest(logits) - logits, np.float32) * unit
-    weight = _to_the_256th(larger(_ONE - depth * _PER_256, _ZERO))
+    weight = to_the_256th(larger(_ONE - depth * _PER_256, _ZERO))
     log_scale = cast(load(sums, row + 32, 16), np.float32) * unit + _SCALE_SHIFT
     inverse = _ONE - larger(smaller(log_scale, _SCALE_HIGH), _SCALE_LOW) * _PER_4096
     inverse = inverse * inverse
     inverse = inverse * inverse
     inverse = inverse * inverse
-    inverse = _to_the_256th(inverse * inverse)
+    inverse = to_the_256th(inverse * inverse)
     offset = cast(load(sums, row + 16, 16), np.float32) * unit
     offset = larger(smaller(offset, _OFFSET_LIMIT), -_OFFSET_LIMIT)
     store(mixture, at + _MEANS, load(mu, to * PLACES, 16) + offset / inverse)
@@ -90,9 +82,8 @@ def set_mixture(sums: I32, p: int, shift: int, mu: F32, to: int, levels: int, mi
 def _below(mixture: F32, m: int, x: np.float32) -> Lanes:
     """What each component of mixture ``m`` has below ``x`` counts."""
     at = m * SIZE
-    z = (x - load(mixture, at + _MEANS, 16)) * load(mixture, at + _INVERSES, 16) * _PER_256
-    odds = _to_the_256th(larger(smaller(z, _REACH), -_REACH) + _ONE)
-    return load(mixture, at + _WEIGHTS, 16) * (_ONE - _ONE / (odds + _ONE))
+    z = (x - load(mixture, at + _MEANS, 16)) * load(mixture, at + _INVERSES, 16)
+    return load(mixture, at + _WEIGHTS, 16) * (_ONE - above(z))
 
 
 @inline

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import SalpccError
 from salpcc.stages.predict.learned.range_features import LIMIT
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.vectors import (
     cast,
     dot,
     inline,

@@ -19,7 +19,7 @@ from salpcc.stages.predict.learned.previous_sweep import WarpedSweep
 from salpcc.stages.predict.learned.range_features import NO_ERROR, rounded, squash
 from salpcc.stages.predict.learned.range_features import PREDICTORS as OF_SWEEP
 from salpcc.stages.predict.ring_rows import PAD, align
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.vectors import (
     Lanes,
     choose,
     inline,

@@ -28,7 +28,7 @@ from salpcc.stages.predict.learned.local_plane import (
     weigh,
 )
 from salpcc.stages.predict.ring_rows import PAD
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.vectors import (
     Lanes,
     cast,
     choose,

@@ -59,7 +59,7 @@ from salpcc.stages.predict.learned.walks import (
 )
 from salpcc.stages.predict.ring_rows import PAD, across, follow, lever_ticks, place_azimuths, row_size
 from salpcc.stages.predict.sweep_walk import height_ratio, laser_constants, step_feature
-from salpcc.stages.predict.vectors import inline, kernel, lane, load, pick, store
+from salpcc.stages.vectors import inline, kernel, lane, load, pick, store
 
 LEVEL_LIMIT = 1 << 17  # levels of a sweep; a return beyond cannot be coded here
 HEADER = 3

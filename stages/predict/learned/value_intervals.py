@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.vectors import (
     cast,
     count,
     highest,

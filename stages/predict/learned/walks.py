@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.intervals import STATES, begin, ended
 from salpcc.stages.entropy.rans import Words
-from salpcc.stages.predict.vectors import inline
+from salpcc.stages.vectors import inline
 
 PREDICT, DECODE, COLLECT = 0, 1, 2
 RINGS = 8  # at a time

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.predict.vectors import Lanes, choose, inline, load, store
+from salpcc.stages.vectors import Lanes, choose, inline, load, store
 
 Columns = NDArray[np.float32]  # flat, column after column
 

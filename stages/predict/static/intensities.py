@@ -15,7 +15,7 @@ from salpcc.stages.entropy.rans import Words, refill
 from salpcc.stages.predict.static import levels
 from salpcc.stages.predict.static.columns import LANES, WIDTH, Columns, F, cell, put, renew, take
 from salpcc.stages.predict.static.symbols import Starts, pop_symbol
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.vectors import (
     Lanes,
     choose,
     inline,

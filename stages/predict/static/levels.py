@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.trig import TWO_PI, sin_cos
 from salpcc.stages.predict.static.columns import LANES, WIDTH, Columns, F, cell, put, renew, take
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.vectors import (
     bits,
     cast,
     choose,

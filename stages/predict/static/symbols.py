@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.rans import TOTAL, pop, slot_of
-from salpcc.stages.predict.vectors import count, inline, load
+from salpcc.stages.vectors import count, inline, load
 
 _TOGETHER = 64
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.rans import BITS, push, refill
 from salpcc.stages.predict.static.symbols import Starts, pop_symbol
-from salpcc.stages.predict.vectors import inline
+from salpcc.stages.vectors import inline
 
 ESCAPE = 64
 TOKENS = 65

@@ -17,7 +17,7 @@ from salpcc.stages.predict.static.columns import LANES, Columns, F, cell
 from salpcc.stages.predict.static.intensities import PAD
 from salpcc.stages.predict.static.symbols import Starts
 from salpcc.stages.predict.static.tokens import get
-from salpcc.stages.predict.vectors import inline, kernel, prefetch
+from salpcc.stages.vectors import inline, kernel, prefetch
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -19,7 +19,7 @@ from salpcc.stages.predict.static.symbols import pop_symbol, starts_of
 from salpcc.stages.predict.static.tokens import ESCAPE
 from salpcc.stages.predict.static.train import to_frequencies, train_tables
 from salpcc.stages.predict.static.waves import LAG, waves
-from salpcc.stages.predict.vectors import kernel
+from salpcc.stages.vectors import kernel
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from numba import njit
 
 from salpcc.stages.predict import vectors
-from salpcc.stages.predict.vectors import (
+from salpcc.stages.vectors import (
     bits,
     cast,
     choose,
