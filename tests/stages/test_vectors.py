@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from salpcc.stages.predict import vectors
+from salpcc.stages import vectors
 from salpcc.stages.vectors import (
     bits,
     cast,
