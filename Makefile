@@ -12,6 +12,9 @@ PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13; do \
 SOURCES := $(shell find schemas stages pipeline src/salpcc/__init__.py -type f -not -path '*/__pycache__/*') pyproject.toml
 OUT ?= out/demo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# What is imported is compiled then, by whichever process is first; pip would compile all that it installs, one file after another.
+PIP := $(BIN)/pip install -q --no-compile
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test types test-stages test-pipeline test-rest bench fuzz soak lock clean
 
@@ -21,7 +24,9 @@ demo: $(VENV)/.product
 	$(BIN)/salpcc-pipeline verify $(OUT)/archives/01.mcap --against $(OUT)/simulated
 	@echo "The report: $(CURDIR)/$(OUT)/report/index.html"
 
-test: $(VENV)/.tools
+# pip takes one of two cores for a minute or two: the other compiles what most tests need.
+test: $(VENV)/.product
+	$(MAKE) -j 2 $(VENV)/.tools $(VENV)/.kernels
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(MAKE) -j 2 test-stages types test-rest test-pipeline
@@ -30,13 +35,13 @@ types:
 	$(BIN)/mypy -p salpcc
 
 # Three processes, two at a time: a process that a native library ends is told of, which pytest-xdist waits for for ever.
-# The pipeline's comes last: by then the stages' has compiled most kernels of both.
+# The pipeline's comes last, and fuzz with it: by then the stages' has compiled most kernels of both.
 test-stages:
 	$(BIN)/pytest -q tests/stages tests/schemas tests/scripts
 test-pipeline:
-	$(BIN)/pytest -q tests/pipeline tests/examples
+	$(BIN)/pytest -q tests/pipeline tests/examples tests/test_fuzz.py
 test-rest:
-	$(BIN)/pytest -q tests/test_*.py
+	$(BIN)/pytest -q $(filter-out tests/test_fuzz.py,$(wildcard tests/test_*.py))
 
 bench: $(VENV)/.tools
 	$(BIN)/python -m salpcc.stages.evaluate.studies.bench --efforts fast,default,max --threads 2 --profile-stages $(if $(ROOT),--root $(ROOT))
@@ -54,12 +59,17 @@ $(VENV)/.product: requirements.lock $(SOURCES)
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 2; }
 	@rm -rf build/lib #  modules that are gone from the sources would be installed from there
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install -q -c requirements.lock ".[run]"
+	$(PIP) -c requirements.lock ".[run]"
 	@touch $@
 
 # The tools, the other codecs, Open3D.
 $(VENV)/.tools: $(VENV)/.product
-	$(BIN)/pip install -q -r requirements.lock
+	$(PIP) -r requirements.lock
+	@touch $@
+
+# Without these, tests compile for themselves: a failure is theirs to tell.
+$(VENV)/.kernels: $(VENV)/.product
+	-$(BIN)/python tests/golden/coded_again.py tests/golden/*.mcap > /dev/null
 	@touch $@
 
 # torch stays as it is until somebody edits the lock: most of its releases bring gigabytes of CUDA along.

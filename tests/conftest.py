@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -23,6 +24,10 @@ from salpcc.stages.mapping.open3d_library import load_open3d
 
 settings.register_profile("any machine", deadline=None)  # no test may depend on how fast this one is
 settings.load_profile("any machine")
+
+# The compiler makes millions of small objects that stay for a while: a tenth of its time went into looking at them again.
+gc.freeze()
+gc.set_threshold(20_000, 20, 20)
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 REAL_DATA = Path(os.environ.get("SALPCC_DATA", Path(__file__).parents[2] / "shared" / "data"))
