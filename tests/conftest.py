@@ -5,7 +5,10 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +73,29 @@ def browser() -> Iterator[Any]:
         yield page
         chromium.close()
     assert not errors
+
+
+@pytest.fixture(scope="session")
+def cli() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """The command line in this process: ``cli("verify", path, cwd=folder)``, with exit code and all that it prints."""
+    from salpcc.pipeline.cli.app import main
+
+    def go(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+        out, said = StringIO(), StringIO()
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            redirect_stdout(out),
+            redirect_stderr(said),
+            chdir(cwd or "."),
+        ):
+            patch.setattr("sys.argv", ["salpcc-pipeline", *map(str, words)])
+            for command in ("run_log", "run_sequences", "maps"):  # what ends at once leaves no process behind
+                patch.setattr(f"salpcc.pipeline.cli.{command}.start_fork_server", lambda *_, **__: None)
+            with pytest.raises(SystemExit) as end:
+                main()
+        return subprocess.CompletedProcess(words, int(end.value.code or 0), out.getvalue(), said.getvalue())
+
+    return go
 
 
 def toy_points(sensor: SensorModel, seed: int, firings: int = 160) -> np.ndarray:

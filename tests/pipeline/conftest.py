@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import resource
-import subprocess
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, chdir, contextmanager, redirect_stderr, redirect_stdout
-from io import StringIO
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +13,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from salpcc.pipeline.cli.app import main
 from salpcc.pipeline.graph.graph import GraphOptions
 from salpcc.pipeline.run import RunRequest, RunResult, run_sequences
 from salpcc.schemas.config import RunConfig
@@ -93,25 +90,3 @@ def done(toy_root: Path, tmp_path_factory: pytest.TempPathFactory, run: Callable
     result = run(toy_root, out, "00", "01")
     assert not result.failed
     return out
-
-
-@pytest.fixture(scope="session")
-def cli() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """The command line in this process: ``cli("verify", path, cwd=folder)``, with exit code and all that it prints."""
-
-    def go(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-        out, said = StringIO(), StringIO()
-        with (
-            pytest.MonkeyPatch.context() as patch,
-            redirect_stdout(out),
-            redirect_stderr(said),
-            chdir(cwd or "."),
-        ):
-            patch.setattr("sys.argv", ["salpcc-pipeline", *map(str, words)])
-            for command in ("run_log", "run_sequences", "maps"):  # what ends at once leaves no process behind
-                patch.setattr(f"salpcc.pipeline.cli.{command}.start_fork_server", lambda *_, **__: None)
-            with pytest.raises(SystemExit) as end:
-                main()
-        return subprocess.CompletedProcess(words, int(end.value.code or 0), out.getvalue(), said.getvalue())
-
-    return go

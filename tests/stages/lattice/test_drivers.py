@@ -26,7 +26,7 @@ from salpcc.stages.lattice.sensor_model import SENSORS, SensorModel
 from salpcc.stages.lists.list_coder import decode_list, encode_list
 from salpcc.stages.lists.list_plan import plan
 
-LASERS, FIRINGS = 8, 900
+LASERS, FIRINGS = 5, 900
 F = np.float32
 
 

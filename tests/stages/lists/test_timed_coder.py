@@ -234,12 +234,20 @@ def test_odd_points_beside_a_movable_layer(merged: Listed) -> None:
     assert back.tobytes() == moving.tobytes()
 
 
-@settings(max_examples=20, deadline=None)
-@given(at=st.integers(0, 1 << 30), value=st.integers(0, 255), cut=st.integers(0, 1 << 30))
-def test_damage_of_a_movable_layer_ends(merged: Listed, at: int, value: int, cut: int) -> None:
+@pytest.fixture(scope="module")
+def movable(merged: Listed) -> tuple[np.ndarray, Among, bytes]:
+    """Points of things that move, the rest, and what they take."""
     _, laser, _ = merged
     moving, places, among = layers(merged)
-    data = DAMAGED.setdefault(0, encode_list(places, plan(moving, 0.0, lanes=laser[places], among=among)))
+    return moving, among, encode_list(places, plan(moving, 0.0, lanes=laser[places], among=among))
+
+
+@settings(max_examples=20, deadline=None)
+@given(at=st.integers(0, 1 << 30), value=st.integers(0, 255), cut=st.integers(0, 1 << 30))
+def test_damage_of_a_movable_layer_ends(
+    movable: tuple[np.ndarray, Among, bytes], at: int, value: int, cut: int
+) -> None:
+    moving, among, data = movable
     changed = bytearray(data)
     changed[at % (len(data) if cut % 2 else 100)] = value
     if cut % 3 == 0:
@@ -248,6 +256,3 @@ def test_damage_of_a_movable_layer_ends(merged: Listed, at: int, value: int, cut
     found, back, _, sound = decode_list(len(moving), 0.0, np.frombuffer(changed, np.uint8), among=blank)
     assert len(found) == len(back) == len(moving)
     assert value or not sound or len(changed) < 5 or changed[4] != TIMED_AMONG
-
-
-DAMAGED: dict[int, bytes] = {}
