@@ -1,17 +1,18 @@
 """Times of points, from the laser and the firing: a clock that goes on from firing to firing, and each laser's delay behind it.
 
 Values are whole numbers (:class:`.number_forms.Spans`), often several that mean the same: the time of a point is ``clock + delay[laser]``,
-rounded to what was recorded, so the clock is finer than what shows of it; the writer picks one that goes on evenly, and then next to nothing is to be said of it.
+rounded to what was recorded, so the clock is finer than what shows of it; the writer picks one that suits the firings to come, and then next to nothing is to be said of it.
 
-Of a movable layer the times of both layers' points are walked over. Those of the static one are known, so the clock of a firing that has such a point is, too.
+Whether the clock goes on is told in the context of what speaks for it: a laser that fires no later than the one before, that comes back, a tick far from that of
+the firing's first point. It most often goes on by one of the last few steps.
 
-A firing begins where a laser comes back, or where a point's tick, less the laser's own shift, is no longer that of the firing before.
-The clock then most often goes on by one of the last few steps.
+Of a movable layer the times of both layers' points are walked over. Those of the static one are known, and points are most often of the firing of the next of these.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -24,20 +25,23 @@ from salpcc.stages.entropy.range_coder import (
     start_decoder,
     start_encoder,
 )
-from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
+from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number, size_of
 from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
 from salpcc.stages.lattice.sensor_model import SensorModel
 
-_ROUNDS = 6
+MOST_GRAIN = 16
 _LARGEST = (1 << 39) - 1  # difference that a number holds
 _CLOCK_BITS = 64
-_SAME = (0.3, 2.0, 1e9)  # of the ticks from firing to firing; the last: only lasers tell firings
-_TRIED, _FITTED, _FINALISTS = 1 << 13, 1 << 15, 2  # points, ways of telling
-_GLANCE, _NO_TIMES = 1 << 10, 4.0  # points; bits of each that other fields than times take
-_NEAR = 1.1  # of the shortest trial; others are no finalists
-_HOPELESS = 1.5  # of the bits a point that are to be beaten, in a trial
-_COUNTED = 8  # times as far apart as there are
 _STEPS = 6  # of the clock from firing to firing that are remembered
+_AHEAD = 1 << 10  # points that a clock is to suit
+_TURNS, _APART = 7, 12  # turns of the lasers in a firing, sizes of differences in ticks that are told apart
+# Where contexts begin: of a point between known ones of one clock, of several; that may be of the clock of the next known one; of steps. First those of others.
+_SEEN = 3 * (_TURNS + 2)
+_BETWEEN = _SEEN * _APART
+_AMONG = _BETWEEN + 4
+_SHARES = _AMONG + 3 * _SEEN
+_STEPPED = _SHARES + 3
+_STEP_BITS = (_STEPS + 1) * _STEPS
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -80,286 +84,179 @@ class Clocked:
     """How times follow from firings.
 
     Attributes:
-        shifted: lasers have shifts.
-        apart: ticks that points of one firing differ by at most.
+        grain: binary places in which steps of the clock are most often even.
         delay: of each laser ``(L + 1,)``, 0 for none.
     """
 
-    shifted: bool
-    apart: int
+    grain: int
     delay: I64
 
 
-@njit(cache=True)
-def _begins(laser: I64, phase: I64, ticks: int, apart: int, nobody: int) -> NDArray[np.bool_]:
-    """Mark the first point ``(N,)`` of every firing."""
-    begins = np.zeros(len(laser), np.bool_)
-    fired = np.full(nobody + 1, -1)
-    firing, first, before = 0, np.int64(-1), np.int64(-1)
-    for i in range(len(laser)):
-        k = laser[i]
-        if k == nobody:
-            continue
-        off = (phase[i] - first) % ticks
-        if first < 0 or min(off, ticks - off) > apart or (fired[k] == firing and k != before):
-            begins[i] = True
-            first = phase[i]
-            firing += 1
-        fired[k] = firing
-        before = k
-    return begins
+class _Given(NamedTuple):
+    """Lasers of points, their delays, the times that would do, of which a reader has those that are known."""
+
+    laser: I64
+    delay: I64
+    low: I64
+    high: I64
+    known: Mask
 
 
 @njit(cache=True)
-def _suits(
-    i: int, begins: Mask, low: I64, high: I64, laser: I64, delay: I64, known: Mask, only: bool
-) -> tuple[int, int]:
-    """The clocks that suit point i and as many of its firing after it as any; ``only`` those that are known, the first of them if i is none."""
-    while only and not known[i]:
-        i += 1
+def _suits(given: _Given, i: int, clock: int) -> bool:
+    """Whether the time of point i follows from a clock."""
+    return bool(given.low[i] <= clock + given.delay[given.laser[i]] <= given.high[i])
+
+
+@njit(cache=True)
+def _lasting(given: _Given, i: int, steps: I64, only: bool) -> tuple[int, int]:
+    """The clocks, from the least to the largest, that suit point i, and as many after it as any if they go on by these steps; ``only`` those that are known."""
+    laser, delay, low, high, known = given
     a, b = low[i] - delay[laser[i]], high[i] - delay[laser[i]]
-    j = i + 1
-    while j < len(laser) and not begins[j]:
-        if known[j] or not only:
-            first, last = max(a, low[j] - delay[laser[j]]), min(b, high[j] - delay[laser[j]])
-            if first > last:
-                break
-            a, b = first, last
-        j += 1
+    gone = np.int64(0)
+    for j in range(i + 1, min(i + _AHEAD, len(laser))):
+        if laser[j] == len(delay) - 1 or (only and not known[j]):
+            continue
+        least, most = low[j] - delay[laser[j]] - gone, high[j] - delay[laser[j]] - gone
+        step, c = np.int64(0), 0
+        while max(a, least - step) > min(b, most - step) and c < len(steps):
+            step = steps[c]
+            c += 1
+        if max(a, least - step) > min(b, most - step):
+            break
+        a, b, gone = max(a, least - step), min(b, most - step), gone + step
     return a, b
 
 
 @njit(cache=True)
-def _has_known(i: int, begins: Mask, known: Mask) -> bool:
-    """Whether a point of the firing that begins at point i is known."""
-    while not known[i]:
-        i += 1
-        if i == len(known) or begins[i]:
-            return False
-    return True
+def _next(
+    given: _Given, i: int, clock: int, steps: I64, last: int, told: int, grain: int, only: bool
+) -> tuple[int, int]:
+    """The step by which the clock comes to suit point i, _STEPS for a new one, and what it is then."""
+    a, b = _lasting(given, i, steps[:0], only)
+    if last < _STEPS and a <= clock + steps[last] <= b:
+        return last, clock + steps[last]
+    for c in range(_STEPS):
+        if a <= clock + steps[c] <= b:
+            return c, clock + steps[c]
+    a, b = _lasting(given, i, steps, only)
+    middle, origin = a + (b - a) // 2, clock + told
+    even = ((middle - origin + (1 << grain >> 1)) >> grain << grain) + origin
+    return _STEPS, even if a <= even <= b else middle
 
 
 @njit(cache=True)
-def _code(writing, state, data, laser, delay, begins, low, high, known, clocks, bits, numbers):  # type: ignore[no-untyped-def]
-    """Write or read the clocks ``(N,)`` of points; ``low``, ``high``: the times that would do, of which a reader has those that are ``known (N,)``."""
-    clock = np.int64(0)
-    steps, used = np.zeros(_STEPS, np.int64), np.zeros(_STEPS, np.int64)
-    recent, last = 0, _STEPS
-    for i in range(len(laser)):
-        before = clock
-        starts = i == 0 or begins[i]
-        told = _has_known(i, begins, known) if starts else known[i]  # and the clock with it
-        sees = writing or told
-        a, b = np.int64(0), np.int64(0)
-        if starts and sees:
-            a, b = _suits(i, begins, low, high, laser, delay, known, told)
-        if i == 0 and told:
-            clock = a + (b - a) // 2
-        elif i == 0:
-            for part in range(_CLOCK_BITS // 16):
-                clock |= code_raw(writing, state, data, 16, ((a + (b - a) // 2) >> (16 * part)) & 0xFFFF) << (
-                    16 * part
-                )
-        elif starts:
-            which = _STEPS
-            if sees:
-                for c in range(_STEPS - 1, -1, -1):
-                    if a <= clock + steps[c] <= b:
-                        which = c
-                if last < _STEPS and a <= clock + steps[last] <= b and which == _STEPS:
-                    which = last
-            c = 0
-            while c < _STEPS:
-                at = 8 + last * _STEPS + c
-                other = np.int64(which != c)
-                if not told:
-                    other = code_mixed_bit(writing, state, data, bits, at, bits, at, other)
-                if other == 0:
-                    break
-                c += 1
-            if c == _STEPS:
-                wanted = clock + steps[recent]
-                off = min(max(wanted, a), b) - wanted
-                if not told:
-                    off = code_number(writing, state, data, numbers, 0, numbers, 0, off)
-                clock = wanted + off
-                c = int(used.argmin())
-                steps[c] = clock - before
-                last = _STEPS
-            else:
-                clock += steps[c]
-                last = c
-            used[c] = i
-            recent = c
-        if known[i] and not low[i] <= clock + delay[laser[i]] <= high[i]:
-            a, b = _suits(i, begins, low, high, laser, delay, known, True)
-            clock = min(max(clock, a), b)
-        elif not known[i] and (told or not starts):
-            changes = writing and not low[i] <= clock + delay[laser[i]] <= high[i]
-            at = 0 if i < 2 or clocks[i - 1] == clocks[i - 2] else 1
-            if code_mixed_bit(writing, state, data, bits, at, bits, at, np.int64(changes)) != 0:
-                if writing:
-                    a, b = _suits(i, begins, low, high, laser, delay, known, False)
-                clock += code_number(
-                    writing, state, data, numbers, 1, numbers, 1, min(max(clock, a), b) - clock
-                )
-        if state[3] != 0:
-            return
-        if (writing or known[i]) and abs(clock - before) > _LARGEST and i > 0:
-            state[3] = 1
-            return
-        clocks[i] = clock
+def _order(one: int, other: int) -> int:
+    """Which of two numbers is larger."""
+    return 0 if other > one else 1 if other == one else 2
 
 
 @njit(cache=True)
-def _delays(laser: I64, begins: NDArray[np.bool_], low: I64, high: I64, lasers: int) -> I64:
-    """Fit the delay of each laser ``(L + 1,)``, about that of the first to fire."""
-    n = len(laser)
-    delay = np.zeros(lasers + 1, np.int64)
-    by_laser = np.argsort(laser, kind="mergesort")
-    firing = np.cumsum(begins.astype(np.int64))
-    clock = np.zeros(firing[-1] + 1, np.int64)
-    before = np.empty_like(delay)
-    for round_ in range(_ROUNDS):
-        before[:] = delay
-        # The clock of a firing: where its intervals meet, or between.
-        start = 0
-        while start < n:
-            end = start
-            a, b = np.int64(-1) << 62, np.int64(1) << 62
-            while end < n and firing[end] == firing[start]:
-                if laser[end] < lasers:
-                    a = max(a, low[end] - delay[laser[end]])
-                    b = min(b, high[end] - delay[laser[end]])
-                end += 1
-            clock[firing[start]] = (low[start] if round_ == 0 else a) // 2 + (
-                high[start] if round_ == 0 else b
-            ) // 2
-            start = end
-        # The delay of a laser: what most of its points agree on.
-        start = 0
-        while start < n:
-            end = start
-            k = laser[by_laser[start]]
-            while end < n and laser[by_laser[end]] == k:
-                end += 1
-            if k < lasers:
-                own = by_laser[start:end]
-                delay[k] = _agreed(low[own] - clock[firing[own]], high[own] - clock[firing[own]])
-            start = end
-        if round_ > 0 and (delay == before).all():  # and so in all rounds to come
-            break
-    return delay
-
-
-@njit(cache=True)
-def _sorted(values: I64) -> I64:
-    """The same numbers ``(N,)`` in their order: most often they are so near to one another that they can be counted."""
-    low = values.min()
-    apart = values.max() - low
-    if not 0 <= apart < _COUNTED * len(values):
-        return np.sort(values)
-    counts = np.zeros(apart + 1, np.int64)
-    for value in values:
-        counts[value - low] += 1
-    found, at = np.empty_like(values), 0
-    for k in range(len(counts)):
-        for _ in range(counts[k]):
-            found[at] = low + k
-            at += 1
-    return found
-
-
-@njit(cache=True)
-def _agreed(low: I64, high: I64) -> int:
-    """The number that most of the intervals hold, the middle of where they do."""
-    starts, ends = _sorted(low), _sorted(high)
-    best, depth, at, i, j = 0, 0, starts[0], 0, 0
-    until = ends[0]
-    while i < len(starts):
-        if starts[i] <= ends[j]:
-            depth += 1
-            if depth > best:
-                best, at, until = depth, starts[i], ends[j]
-            i += 1
-        else:
-            depth -= 1
-            j += 1
-    return at + (until - at) // 2
-
-
-def find_times(
-    fired: Fired, low: I64, high: I64, to_beat: int, known: Mask | None = None
-) -> tuple[Clocked, bytes] | None:
-    """Find how to tell the times ``low ... high (N,)`` of points best, and encode them.
-
-    None where that cannot be, or where trials say that it takes more than the bytes ``to_beat`` by far.
+def _code(writing, state, data, given, phase, ticks, grain, times, bits, numbers):  # type: ignore[no-untyped-def]
+    """Write or read the times ``(N,)`` of points.
 
     Args:
-        known: ``(N,)``, which of the times a reader has.
+        phase: tick of the common firing of each point.
     """
-    more = _first(fired, _FITTED)
-    fitted = slice(0, _FITTED)
-    at_first = _tried(fired, low, high, known, _GLANCE)
-    least = min((size for size, _ in at_first), default=ENDLESS) / min(_GLANCE, len(low))
-    if 8.0 * least > _NO_TIMES and least * len(low) > _HOPELESS * to_beat:
-        return None
-    tried = _tried(fired, low, high, known, _TRIED)
-    best: tuple[Clocked, bytes] | None = None
-    tried.sort(key=lambda found: found[0])
-    if not tried or tried[0][0] * len(low) > _HOPELESS * to_beat * min(_TRIED, len(low)):
-        return None
-    for size, early in tried[:_FINALISTS]:
-        if size > _NEAR * tried[0][0]:
-            break
-        # Early times are rounded least.
-        for clocked in (early, _fitted(early, more, low[fitted], high[fitted])):
-            coded = encode_times(fired, low, high, clocked, ENDLESS if best is None else len(best[1]), known)
-            if coded is not None and (best is None or len(coded) < len(best[1])):
-                best = clocked, coded
-    return best
-
-
-def _tried(fired: Fired, low: I64, high: I64, known: Mask | None, n: int) -> list[tuple[int, Clocked]]:
-    """The ways to tell times, fitted to the first ``n`` points, and the bytes that these take."""
-    few, part = _first(fired, n), slice(0, n)
-    tried = []
-    for shifted in (True, False) if fired.shift.any() else (False,):
-        phase = _phase(few, shifted)[few.laser < few.lasers]
-        steps = np.abs((np.diff(phase) + fired.ticks // 2) % fired.ticks - fired.ticks // 2)
-        pace = float(np.median(steps[steps > steps.mean()])) if (steps > steps.mean()).any() else 0.0
-        for same in _SAME:
-            clocked = _fitted(
-                Clocked(shifted, int(min(same * pace, fired.ticks)), fired.shift), few, low[part], high[part]
-            )
-            coded = encode_times(
-                few, low[part], high[part], clocked, known=None if known is None else known[part]
-            )
-            if coded is not None:
-                tried.append((len(coded), clocked))
-    return tried
-
-
-def _first(fired: Fired, n: int) -> Fired:
-    return replace(fired, laser=fired.laser[:n], tick=fired.tick[:n])
-
-
-def _fitted(clocked: Clocked, fired: Fired, low: I64, high: I64) -> Clocked:
-    """The same with the delays of these points."""
-    return replace(clocked, delay=_delays(fired.laser, _of(fired, clocked), low, high, fired.lasers))
-
-
-def _phase(fired: Fired, shifted: bool) -> I64:
-    """Tick of the common firing of each point ``(N,)``."""
-    return (fired.tick - fired.shift[fired.laser] * int(shifted)) % fired.ticks
-
-
-def _of(fired: Fired, clocked: Clocked) -> NDArray[np.bool_]:
-    return np.asarray(
-        _begins(
-            fired.laser, _phase(fired, clocked.shifted), fired.ticks, clocked.apart, len(clocked.delay) - 1
-        )
-    )
+    laser, delay, low, high, known = given
+    nobody = len(delay) - 1
+    clock, value, told = np.int64(0), np.int64(0), np.int64(0)
+    began, span = np.int64(0), np.int64(0)  # of the steps since the last new one, and of those before
+    steps, used, last = np.zeros(_STEPS, np.int64), np.zeros(_STEPS, np.int64), _STEPS
+    fired, before = np.full(nobody + 1, -1), nobody
+    turn, turned, first = 0, 0, np.int64(0)
+    coming = 0  # the next known point
+    for i in range(len(laser)):
+        k = laser[i]
+        if k == nobody:
+            if known[i]:
+                value = low[i]
+            else:
+                off = min(max(value, low[i]), high[i]) - value
+                if writing and abs(off) > _LARGEST:
+                    state[3] = 1
+                    return
+                value += code_number(writing, state, data, numbers, 2, numbers, 2, off)
+            times[i] = value
+            continue
+        back = fired[k] == turn and k != before
+        stays, at, shares = False, i, known[i]
+        if before != nobody and known[i]:
+            stays = _suits(given, i, clock)
+        elif before != nobody:
+            coming = max(coming, i)
+            while coming < len(laser) and not (known[coming] and laser[coming] != nobody):
+                coming += 1
+            order = _order(delay[before], delay[k])
+            near = coming < len(laser)
+            alike = near and _suits(given, coming, clock)
+            seen = 3 * (min(turn - turned, _TURNS) + 1) * int(back) + order
+            if alike:
+                spot = _BETWEEN + min(seen, 3)
+            elif near:
+                spot = _AMONG + 3 * seen + _order(delay[k], delay[laser[coming]])
+            else:
+                apart = abs(phase[i] - first)
+                spot = seen * _APART + min(size_of(min(apart, ticks - apart)), _APART - 1)
+            leaves = np.int64(writing and not _suits(given, i, clock))
+            stays = code_mixed_bit(writing, state, data, bits, spot, bits, spot, leaves) == 0
+            if not stays and near and not alike:
+                at, spot = coming, _SHARES + order
+                goal = _next(given, at, clock, steps, last, told, grain, True)[1]
+                joins = np.int64(writing and _suits(given, i, goal))
+                shares = code_mixed_bit(writing, state, data, bits, spot, bits, spot, joins) != 0
+        if before == nobody:
+            a, b = _lasting(given, i, steps, known[i]) if writing or known[i] else (clock, clock)
+            goal = a + (b - a) // 2
+            if known[i]:
+                clock = goal
+            else:
+                for part in range(0, _CLOCK_BITS, 16):
+                    clock |= code_raw(writing, state, data, 16, (goal >> part) & 0xFFFF) << part
+        elif not stays:
+            c, goal = _STEPS, clock
+            if writing or shares:
+                c, goal = _next(given, at if shares else i, clock, steps, last, told, grain, shares)
+            if not shares:
+                due = 1 + int(abs(clock - began) >= span)
+                wanted, c = c, 0
+                while c < _STEPS:
+                    spot = _STEPPED + last * _STEPS + c
+                    also = spot + due * _STEP_BITS
+                    if (
+                        code_mixed_bit(writing, state, data, bits, spot, bits, also, np.int64(wanted != c))
+                        == 0
+                    ):
+                        break
+                    c += 1
+                off = goal - clock - told
+                if c < _STEPS:
+                    goal = clock + steps[c]
+                elif writing and abs(off) > _LARGEST:
+                    state[3] = 1
+                    return
+                else:
+                    rest = off & ((1 << grain) - 1)
+                    rest = code_number(writing, state, data, numbers, 1, numbers, 1, rest)
+                    off = code_number(writing, state, data, numbers, 0, numbers, 0, off >> grain)
+                    goal = clock + told + (off << grain) + rest
+            last = c
+            if c == _STEPS:
+                c = int(used.argmin())
+                steps[c] = told = goal - clock
+                span, began = abs(clock - began), goal
+            used[c] = i
+            clock = goal
+        if state[3] != 0:
+            return
+        if not stays or back:
+            turn += 1
+        if not stays:
+            turned, first = turn, phase[i]
+        fired[k] = turn
+        before = k
+        value = clock + delay[k]
+        times[i] = value
 
 
 def encode_times(
@@ -370,13 +267,12 @@ def encode_times(
     Args:
         known: ``(N,)``, which of them a reader has.
     """
-    out = room_for(12 * len(low) + 4096, to_beat)
+    out = room_for(16 * len(low) + 4096, to_beat)
     state = start_encoder()
-    clocks = np.zeros(len(low), np.int64)
     known = np.zeros(len(low), np.bool_) if known is None else known
-    begins = _of(fired, clocked)
-    _code(True, state, out, fired.laser, clocked.delay, begins, low, high, known, clocks, *_models())
-    times = clocks + clocked.delay[fired.laser]
+    times = np.zeros(len(low), np.int64)
+    given = _Given(fired.laser, clocked.delay, low, high, known)
+    _code(True, state, out, given, _phase(fired), fired.ticks, clocked.grain, times, *_models())
     if state[3] != 0 or (((times < low) | (times > high)) & ~known).any():
         return None
     return within(out, int(finish_encoder(state, out)), to_beat)
@@ -392,12 +288,16 @@ def decode_times(
     """
     raw = as_array(data)
     state = start_decoder(raw)
-    clocks = np.zeros(len(fired.laser), np.int64)
-    low, high, known = given or (clocks, clocks, np.zeros(len(clocks), np.bool_))
-    begins = _of(fired, clocked)
-    _code(False, state, raw, fired.laser, clocked.delay, begins, low, high, known, clocks, *_models())
-    return clocks + clocked.delay[fired.laser], bool(state[3] == 0)
+    times = np.zeros(len(fired.laser), np.int64)
+    low, high, known = given or (times, times, np.zeros(len(times), np.bool_))
+    of = _Given(fired.laser, clocked.delay, low, high, known)
+    _code(False, state, raw, of, _phase(fired), fired.ticks, clocked.grain, times, *_models())
+    return times, bool(state[3] == 0)
+
+
+def _phase(fired: Fired) -> I64:
+    return (fired.tick - fired.shift[fired.laser]) % fired.ticks
 
 
 def _models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    return new_bits(8 + (_STEPS + 1) * _STEPS), new_bits(2 * PER_CONTEXT)
+    return new_bits(_STEPPED + 3 * _STEP_BITS), new_bits(3 * PER_CONTEXT)

@@ -14,6 +14,7 @@ from salpcc.stages.entropy.number_forms import (
     BITS,
     DECIMAL,
     MOST_DIGITS,
+    ORDERED,
     Spans,
     from_bits,
     from_spans,
@@ -25,11 +26,12 @@ from salpcc.stages.lattice.layers import merged
 from salpcc.stages.lists.aimed.aimed_layers import GONE
 from salpcc.stages.residual_code.message.column_values import decode_columns, encode_columns, find_shifts
 from salpcc.stages.residual_code.message.firing_times import (
+    MOST_GRAIN,
     Clocked,
     decode_times,
     encode_times,
-    find_times,
 )
+from salpcc.stages.residual_code.message.fit_delays import find_times
 from salpcc.stages.residual_code.message.grid import Grid
 from salpcc.stages.residual_code.message.laser_symbols import decode_by_laser, encode_by_laser
 from salpcc.stages.residual_code.message.points import Points
@@ -46,7 +48,8 @@ from salpcc.stages.residual_code.message.records import (
 )
 
 _BY_LASER = struct.Struct("<I")  # length
-_TIMES = struct.Struct("<BBBIqII")  # form, power of ten, shifted, apart, origin, lengths of delays and clocks
+_TIMES = struct.Struct("<BBBqII")  # form, power of ten, grain, origin, lengths of delays and clocks
+_GRAINS = {BITS: 0, ORDERED: 8, DECIMAL: 4}  # of times that are steps of a float64, of decimals
 _TIMELINE = struct.Struct("<BBq")  # form, power of ten, origin
 _COLUMNS = struct.Struct("<BqII")  # void, origin, lengths of shifts and values
 
@@ -88,7 +91,7 @@ def encode_times_record(
     spans = spans_of(values)
     if spans is None:
         return None
-    found = find_times(points.fired, spans.low, spans.high, to_beat, known)
+    found = find_times(points.fired, spans.low, spans.high, _GRAINS[spans.form], to_beat, known)
     if found is None:
         return None
     return _times_record(spans, *found)
@@ -108,13 +111,13 @@ def encode_times_like(
     record: bytes, values: Values, points: Points, beside: Values | None = None
 ) -> bytes | None:
     """The same with the delays that ``record`` has; None where that cannot be."""
-    *_, shifted, apart, _, n_delays, _ = _TIMES.unpack_from(record, 1)
+    _, _, grain, _, n_delays, _ = _TIMES.unpack_from(record, 1)
     points, values, known = _with(beside, values, points)
     if points.fired is None or values.dtype.itemsize < 4:
         return None
     start = 1 + _TIMES.size
     delay = read_small(points.fired.lasers + 1, record[start : start + n_delays])
-    clocked = Clocked(bool(shifted), apart, delay)
+    clocked = Clocked(grain, delay)
     spans = spans_of(values)
     stream = spans and encode_times(points.fired, spans.low, spans.high, clocked, known=known)
     return _times_record(spans, clocked, stream) if spans and stream else None
@@ -122,9 +125,7 @@ def encode_times_like(
 
 def _times_record(spans: Spans, clocked: Clocked, stream: bytes) -> bytes:
     delays = small(clocked.delay)
-    head = _TIMES.pack(
-        spans.form, spans.power, clocked.shifted, clocked.apart, spans.origin, len(delays), len(stream)
-    )
+    head = _TIMES.pack(spans.form, spans.power, clocked.grain, spans.origin, len(delays), len(stream))
     return bytes([TIMES]) + head + delays + stream
 
 
@@ -132,10 +133,10 @@ def decode_times_record(
     data: bytes, at: int, kind: np.dtype[Any], points: Points, beside: Values | None = None
 ) -> tuple[Values, int]:
     """Inverse of :func:`encode_times_record`: the values, and where the record ends; ``at``: behind its kind."""
-    (form, power, shifted, apart, origin, n_delays, length), at = unpacked(_TIMES, data, at)
+    (form, power, grain, origin, n_delays, length), at = unpacked(_TIMES, data, at)
     end = at + n_delays + length
     points, whole, known = _with(beside, np.zeros(len(points.void), kind), points)
-    if points.fired is None or form > DECIMAL or power > MOST_DIGITS or shifted > 1 or end > len(data):
+    if points.fired is None or form > DECIMAL or power > MOST_DIGITS or grain > MOST_GRAIN or end > len(data):
         raise ArchiveError("payload does not decode")
     given = None
     if known is not None:
@@ -144,9 +145,7 @@ def decode_times_record(
             raise ArchiveError("payload does not decode")
         given = spans.low, spans.high, known
     delay = read_small(points.fired.lasers + 1, data[at : at + n_delays])
-    numbers, sound = decode_times(
-        points.fired, Clocked(bool(shifted), apart, delay), data[at + n_delays : end], given
-    )
+    numbers, sound = decode_times(points.fired, Clocked(grain, delay), data[at + n_delays : end], given)
     require_sound(sound)
     values = from_spans(numbers, form, power, origin, kind)
     return values if known is None else values[~known], end

@@ -15,8 +15,8 @@ from salpcc.stages.residual_code.message.firing_times import (
     Fired,
     decode_times,
     encode_times,
-    find_times,
 )
+from salpcc.stages.residual_code.message.fit_delays import find_times
 from salpcc.stages.residual_code.message.learned_values import LearnedField
 from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.ranks import encode_ranks
@@ -44,7 +44,7 @@ def test_known_times_tell_the_others(slack: int) -> None:
     """Of times that are known nothing is written, and those of their firings follow."""
     of, time, known = fired()
     low, high = time - slack, time + slack
-    found = find_times(of, low, high, 1 << 20, known)
+    found = find_times(of, low, high, 0, 1 << 20, known)
     assert found is not None
     clocked, data = found
     given = np.where(known, low, -1), np.where(known, high, -1), known
@@ -61,7 +61,7 @@ def test_times_that_contradict_their_firing() -> None:
     of, time, known = fired(1)
     time = time.copy()
     time[::37] += 1000
-    clocked = Clocked(False, 1, np.append(2304 * np.arange(LASERS), 0))
+    clocked = Clocked(0, np.append(2304 * np.arange(LASERS), 0))
     data = encode_times(of, time, time, clocked, known=known)
     assert data is not None
     given = np.where(known, time, -1), np.where(known, time, -1), known

@@ -129,7 +129,7 @@ def test_rings_cost_nothing(listed) -> None:
 def test_times_follow_from_the_firing(listed, of) -> None:
     points, _, time = listed
     data = coded(of(time), points)
-    assert 8 * len(data) < 0.6 * len(time)
+    assert 8 * len(data) < 0.7 * len(time)
 
 
 def pictured(points: Points, noise: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from salpcc.stages.entropy.symbols import encode_symbols
 from salpcc.stages.lists.aimed.aimed_layers import OWN
 from salpcc.stages.residual_code.message.blended_values import encode_blended
 from salpcc.stages.residual_code.message.column_values import encode_columns, find_shifts
-from salpcc.stages.residual_code.message.firing_times import _sorted
+from salpcc.stages.residual_code.message.fit_delays import _agreed
 from salpcc.stages.residual_code.message.points import LISTED, Points
 
 I64 = NDArray[np.int64]
@@ -42,10 +42,16 @@ def test_shifts_are_those_of_a_search(width: int, different: int) -> None:
     assert find_shifts(values, void, width, role).tolist() == shifts_one_by_one(values, void, width)
 
 
-@pytest.mark.parametrize("spread", [0, 3, 40_000, 1 << 62])
-def test_sorted(spread: int) -> None:
-    values = RNG.integers(-spread - 1, spread + 1, 500)
-    assert (_sorted(values) == np.sort(values)).all()
+@pytest.mark.parametrize("spread", [0, 3, 40_000])
+def test_agreed(spread: int) -> None:
+    low = RNG.integers(-spread, spread + 1, 200)
+    high = low + RNG.integers(0, spread + 1, 200)
+    weight = RNG.integers(1, 4, 200)
+    held = [int(weight[(low <= value) & (value <= high)].sum()) for value in (*low, *high)]
+    least, most, best = _agreed(low, high, weight)
+    assert best == max(held)
+    for value in (least, most, (least + most) // 2):
+        assert weight[(low <= value) & (value <= high)].sum() == best
 
 
 def test_what_takes_more_bytes_than_another_is_none() -> None:
