@@ -4,7 +4,7 @@ Stream: length of the places (uint32), the places as gaps, form, left, up and pe
 Forms: points off every lattice, along guessed rays (:mod:`~salpcc.stages.lists.rays.ray_coder`); on the lattice of the sensor model
 (:mod:`~salpcc.stages.lists.aimed.aimed_points`), but for a motion by time (:mod:`~salpcc.stages.lists.aimed.moved_points`), or among the points of the static
 layer (:mod:`~salpcc.stages.lists.aimed.aimed_layers`), with which their places are told, too; and, where their message tells lasers and times, on rays that
-turn steadily (:mod:`~salpcc.stages.lists.timed.timed_points`). :mod:`~salpcc.stages.lists.list_plan` chooses.
+turn steadily (:mod:`~salpcc.stages.lists.timed.timed_points`); on whole angles (:mod:`~salpcc.stages.lists.angled.angled_points`). :mod:`~salpcc.stages.lists.list_plan` chooses.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from salpcc.stages.lists.aimed.aimed_points import (
 )
 from salpcc.stages.lists.aimed.aimed_stream import Aimed, Way
 from salpcc.stages.lists.aimed.moved_points import body_of, read_moved
+from salpcc.stages.lists.angled.angled_points import count_off_angles, read_angled
 from salpcc.stages.lists.learned.learned_lists import LearnedLists
 from salpcc.stages.lists.rays.list_layout import find_layout
 from salpcc.stages.lists.rays.ray_coder import F32, Layout
@@ -44,7 +45,15 @@ from salpcc.stages.lists.timed.timed_points import Known, ray_number_of, read_ti
 from salpcc.stages.lists.timeline import Timeline
 
 Told = Timeline | Placed | None
-AIMED, TIMED, MOVED, AMONG, PLACED, TIMED_AMONG = 3, 5, 6, 7, 8, 9  # the forms after those of rays
+AIMED, TIMED, MOVED, AMONG, PLACED, TIMED_AMONG, ANGLED = (
+    3,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+)  # the forms after those of rays
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
@@ -79,7 +88,7 @@ def form_of(points: F32, max_error: float) -> tuple[int, int, float]:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How points ``(S, 3)``, snapped if need be, are coded: on rays, ``chosen`` on the lattice of the sensor, or ``coded`` already: form, body, and the lasers and times that they tell.
+    """How points ``(S, 3)``, snapped if need be, are coded: on rays, ``chosen`` on the lattice of the sensor, or ``coded`` already: form, body, and the lasers and times that they tell, if they do.
 
     With ``among`` the points that are chosen are those of the whole list.
     """
@@ -93,7 +102,7 @@ class Plan:
     sensor: SensorModel | None = None
     chosen: tuple[Way, Aimed] | None = None
     lanes: NDArray[np.uint8] | None = None
-    coded: tuple[int, bytes, Timeline] | None = None
+    coded: tuple[int, bytes, Timeline | None] | None = None
     turning: Fitted | None = None  # of form TIMED
     moved_by: TimedMotion | None = None  # of form MOVED
     among: Among | None = None
@@ -304,6 +313,10 @@ def _read_timed_among(given: _Given) -> _Read:
     return _Read(np.ascontiguousarray(points[own]), placed and sound, own_line(line, own), places)
 
 
+def _read_angled(given: _Given) -> _Read:
+    return _Read(*read_angled(given.n, given.data, given.rest))
+
+
 class _Form(NamedTuple):
     """A form of points on a lattice, or on rays of known lasers.
 
@@ -327,6 +340,7 @@ _FORMS = {
     PLACED: _Form(partial(_read_among, placed=True), number_of, lambda _, body: count_off(body), True, False),
     TIMED: _Form(_read_timed, ray_number_of, lambda n, _: n, False, True),
     TIMED_AMONG: _Form(_read_timed_among, ray_number_of, lambda n, _: n, False, True),
+    ANGLED: _Form(_read_angled, lambda _: 0, lambda _, body: count_off_angles(body), False, True),
     MOVED: _Form(
         _read_moved,
         lambda body: number_of(body_of(body)),

@@ -20,9 +20,11 @@ from salpcc.stages.lists.aimed.aimed_points import (
 )
 from salpcc.stages.lists.aimed.aimed_symbols import OFF
 from salpcc.stages.lists.aimed.moved_points import write_moved
+from salpcc.stages.lists.angled.angled_points import write_angled
 from salpcc.stages.lists.learned.learned_lists import Learned
 from salpcc.stages.lists.learned.moved_sweep import Clock
 from salpcc.stages.lists.list_coder import (
+    ANGLED,
     FEWEST,
     MOVED,
     NO_DOUBT,
@@ -83,6 +85,9 @@ def plan(
 
     def rays() -> Plan:
         on_rays = along_rays(points, max_error, settled, lanes, like)
+        angled = write_angled(points, off_the_lattice(0.0)) if exact and form == BITS else None
+        if angled is not None and on_rays.take_more_than(len(angled)):
+            return replace(on_rays, coded=(ANGLED, angled, None))
         if exact and all_lanes is not None and among is not None and beside:
             timed = _timed_among(points, all_lanes, among, form, per, turning, learned)
             if timed is not None and on_rays.take_more_than(len(timed[0])):

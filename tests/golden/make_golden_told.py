@@ -1,4 +1,4 @@
-"""Write golden streams of strays whose lasers and times are told (schemas/ARCHIVE.md, 5.4.2 and 5.4.3), and of learned ones (5.4.4).
+"""Write golden streams of strays whose lasers and times are told (schemas/ARCHIVE.md, 5.4.2 and 5.4.3), of learned ones (5.4.4), and of angled ones (5.4.8).
 
 Only their decoding is for ever the same: what they are fitted by is not the same on every machine.
 """
@@ -13,6 +13,7 @@ from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.list_motion import redo
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lattice.timed_motion import timed_places
+from salpcc.stages.lattice.whole_angles import make_points
 from salpcc.stages.lists.learned.learned_lists import LearnedLists
 from salpcc.stages.lists.list_coder import encode_list
 from salpcc.stages.lists.list_plan import plan
@@ -62,6 +63,18 @@ def to_and_fro(points: np.ndarray) -> np.ndarray:
     return points[np.argsort(firings ^ 1, kind="stable")]
 
 
+def mirrored() -> np.ndarray:
+    """Points on whole angles, each 50th a zero: steps that vary, corrections that change on the way."""
+    rng = np.random.default_rng(6)
+    block, laser = (of.ravel() for of in np.indices((40, 32)))
+    corrected = 256 * ((block + laser) // 30)
+    azimuth = np.cumsum(rng.choice([5120, 5122, 4864], 40))[block] + 9000 * (laser % 4) + corrected
+    count = np.rint(3000 + 400 * np.sin(block / 7) + rng.normal(0, 3, len(block))).astype(np.int64)
+    points = make_points(azimuth, 100_000 - 5130 * laser - corrected, count, 0.004)
+    points[::50] = 0
+    return np.ascontiguousarray(points[rng.random(len(points)) < 0.8])
+
+
 def learned(scans: list[np.ndarray], name: str = "learned") -> dict[str, bytes]:
     """Streams and records of the scans of a group, with what was learned of those before."""
     sensor, lists, modes, written = load_sensor(SENSOR), LearnedLists(), FieldModes(True), {}
@@ -105,7 +118,7 @@ def main() -> None:
     points, laser, time = turn()
     sensor = load_sensor(SENSOR)
     halves = points.astype(np.float16).astype(np.float32)
-    shine = shine_of(points)
+    shine, angled = shine_of(points), mirrored()
     scans = [standing(seed) for seed in (2, 3)]
     turns = [turn(seed) for seed in (4, 5)]
     around = Points.of(points, 0, sensor).around(1)
@@ -114,6 +127,7 @@ def main() -> None:
         "moved": encode_list(np.arange(len(points)), plan(points, 0.0, sensor, lanes=laser, times=time)),
         "timed": encode_list(np.arange(len(points)), plan(halves, 0.0, lanes=laser, times=time)),
         "blended": encode_blended(shine, around),
+        "angled": encode_list(np.arange(len(angled)), plan(angled, 0.0)),
         **learned(scans),
         **learned([to_and_fro(scan) for scan in scans], "shuffled"),
         **driven_past(turns),
@@ -124,6 +138,7 @@ def main() -> None:
         "moved": [streams["moved"][4], zlib.crc32(points.tobytes())],
         "timed": [streams["timed"][4], zlib.crc32(halves.tobytes())],
         "blended": zlib.crc32(shine.tobytes()),
+        "angled": [len(angled), zlib.crc32(angled.tobytes())],
         "learned": [
             [len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan, 3.0))] for scan in scans
         ],

@@ -13,7 +13,15 @@ import pytest
 
 from salpcc.stages.lattice.sensor_model import load_sensor
 from salpcc.stages.lists.learned.learned_lists import LearnedLists
-from salpcc.stages.lists.list_coder import _HEAD, MOVED, TIMED, decode_list, encode_list, learned_number
+from salpcc.stages.lists.list_coder import (
+    _HEAD,
+    ANGLED,
+    MOVED,
+    TIMED,
+    decode_list,
+    encode_list,
+    learned_number,
+)
 from salpcc.stages.lists.list_plan import plan
 from salpcc.stages.residual_code.message.blended_values import decode_blended, encode_blended
 from salpcc.stages.residual_code.message.field_modes import FieldModes
@@ -37,6 +45,16 @@ def decoded(name: str) -> np.ndarray:
 @pytest.mark.parametrize(("name", "form"), [("moved", MOVED), ("timed", TIMED)])
 def test_gives_the_same_points(name: str, form: int) -> None:
     assert EXPECTED[name] == [form, zlib.crc32(decoded(name).tobytes())]
+
+
+def test_gives_the_same_points_on_whole_angles() -> None:
+    n, of_points = EXPECTED["angled"]
+    data = (TOLD / "angled.bin").read_bytes()
+    assert data[4] == ANGLED
+    _, points, _, sound = decode_list(n, 0.0, np.frombuffer(bytearray(data), np.uint8))
+    assert sound
+    assert zlib.crc32(points.tobytes()) == of_points
+    assert encode_list(np.arange(n), plan(points, 0.0)) == data
 
 
 def test_gives_the_same_values_and_bytes() -> None:
