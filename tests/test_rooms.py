@@ -10,6 +10,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = (
     "schemas",
     "stages.memory",
+    "stages.vectors",
     "stages.entropy",
     "stages.lattice",
     "stages.lists",
