@@ -15,33 +15,13 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
-from salpcc.stages.entropy.walks import code_mixed_bit
+from salpcc.stages.entropy.walks import code_mixed_tree
 from salpcc.stages.lattice.publish import from_ordered_bits, ordered_bits
 from salpcc.stages.lists.rays.ray_coder import Layout
 
 UNITS = (1.0, 100.0, 255.0, 10.0, 1000.0, 256.0, 65535.0)  # numbers in a whole one
 _HEAD = struct.Struct("<BHH")
 _HIGH, _LOW = 256 * 256, 128 * 8 * 256
-
-
-@njit(cache=True)
-def _code_byte(
-    writing: bool,
-    state: NDArray[np.int64],
-    data: NDArray[np.uint8],
-    first: NDArray[np.uint16],
-    i: int,
-    second: NDArray[np.uint16],
-    j: int,
-    value: int,
-) -> int:
-    node = 1
-    for b in range(7, -1, -1):
-        bit = code_mixed_bit(
-            writing, state, data, first, i * 256 + node, second, j * 256 + node, (value >> b) & 1
-        )
-        node = node << 1 | bit
-    return node & 255
 
 
 @njit(cache=True)
@@ -59,16 +39,15 @@ def code_values(
         a = values[i - left] if i >= left else 0
         b = values[i - up] if up > 0 and i >= up else (values[i - 2 * left] if i >= 2 * left else a)
         value = values[i]
-        high = _code_byte(writing, state, data, models[0], a >> 8, models[1], b >> 8, value >> 8)
+        high = code_mixed_tree(writing, state, data, models[0], a & ~255, models[1], b & ~255, 8, value >> 8)
         near = min(max(a - (high << 8), 0), 255)
         other = min(max(b - (high << 8), 0), 255)
         apart = abs(near - other)
         spread = 0
         while spread < 7 and apart >> spread:
             spread += 1
-        low = _code_byte(
-            writing, state, data, models[2], (near + other) // 4 * 8 + spread, models[3], near, value & 255
-        )
+        row = ((near + other) // 4 * 8 + spread) * 256
+        low = code_mixed_tree(writing, state, data, models[2], row, models[3], near * 256, 8, value & 255)
         values[i] = high << 8 | low
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.buffer import ENDLESS, room_for
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, code_number
-from salpcc.stages.entropy.walks import code_mixed_bit
+from salpcc.stages.entropy.walks import code_mixed_bit, code_mixed_tree
 
 LASERS = 256
 _NEVER = np.int64(1) << 62
@@ -153,13 +153,8 @@ def _code(writing, laser, time, given, group, cycle, models, state, data):  # ty
         way = code_mixed_bit(writing, state, data, of_way, odd, of_way, odd, way)
         odd = (odd << 1 | way) & 255
         if way == 1:
-            node = 1
-            for shift in range(7, -1, -1):
-                at = before * 256 + node
-                node = node << 1 | code_mixed_bit(
-                    writing, state, data, of_laser, at, of_laser, at, (k >> shift) & 1
-                )
-            k = np.int64(node & 255)
+            row = before * 256
+            k = np.int64(code_mixed_tree(writing, state, data, of_laser, row, of_laser, row, 8, k))
             off = time[i] - now
             if writing and abs(off) >= _LARGEST:
                 state[3] = 1

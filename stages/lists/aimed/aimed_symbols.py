@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES
-from salpcc.stages.entropy.walks import code_mixed_bit
+from salpcc.stages.entropy.walks import code_mixed_bit, code_mixed_tree
 from salpcc.stages.lists.rays.ray_forms import SPREADS
 
 AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
@@ -109,8 +109,5 @@ def code_laser(
             other = np.int64(laser != one)
             if code_mixed_bit(writing, state, data, bits, at + 1 + before, bits, at + 257 + hits, other) == 0:
                 return one
-    node = 1
-    for b in range(7, -1, -1):
-        at = (1 + before) * 256 + node
-        node = node << 1 | code_mixed_bit(writing, state, data, bits, at, bits, at, (laser >> b) & 1)
-    return node & 255
+    row = (1 + before) * 256
+    return code_mixed_tree(writing, state, data, bits, row, bits, row, 8, laser)

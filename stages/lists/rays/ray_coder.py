@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number, size_of
-from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
+from salpcc.stages.entropy.walks import code_mixed_bit, code_mixed_tree, code_raw
 from salpcc.stages.lists.rays.ray_forms import (
     ALONG,
     BITS,
@@ -129,13 +129,8 @@ def code_points(  # type: ignore[no-untyped-def]
         else:
             lane = np.int64(lanes[i])
             if way != MOVE:
-                node = 1
-                for b in range(7, -1, -1):
-                    c = recent_lane * 256 + node
-                    node = node << 1 | code_mixed_bit(
-                        writing, state, data, of_lane, c, of_lane, c, (lane >> b) & 1
-                    )
-                lane = node & 255
+                row = recent_lane * 256
+                lane = np.int64(code_mixed_tree(writing, state, data, of_lane, row, of_lane, row, 8, lane))
                 lanes[i] = lane
         place, before = last[lane], before_last[lane]
         if place < 0:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from salpcc.stages.entropy.buffer import as_array
 from salpcc.stages.entropy.range_coder import finish_encoder, new_bits, start_decoder, start_encoder
-from salpcc.stages.entropy.walks import code_mixed_bit
+from salpcc.stages.entropy.walks import code_mixed_bit, code_mixed_tree
 
 I64 = NDArray[np.int64]
 
@@ -36,13 +36,8 @@ def _code(
             )
             misses = (misses * 2 + np.int64(new)) & 7
         if new:
-            node = 1
-            for shift in range(7, -1, -1):
-                at = 16 + before * 256 + node
-                bit = code_mixed_bit(writing, state, data, bits, at, bits, at, (values[i] >> shift) & 1)
-                node = node * 2 + bit
-            if not writing:
-                values[i] = node & 255
+            row = 16 + before * 256
+            values[i] = code_mixed_tree(writing, state, data, bits, row, bits, row, 8, values[i])
         elif not writing:
             values[i] = last[k]
         if not writing and state[3] != 0:
