@@ -232,7 +232,6 @@ def code_aimed(  # type: ignore[no-untyped-def]
         x = y = z = 0.0
         k, place = 0, -1
         if kind == AIMED:
-            slot = slot_now if left > 0 else -1
             before = np.int64(laser[recent]) if recent >= 0 else 0
             k = int(laser[i]) if given else -1
             if learned is not None and left == 0:
@@ -240,28 +239,12 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 if not given:
                     earlier = np.int64(laser[earlier_one]) if earlier_one >= 0 else 0
                     k = code_candidate(
-                        writing,
-                        state,
-                        data,
-                        learned.order,
-                        learned.heard,
-                        i,
-                        before,
-                        earlier,
-                        np.int64(laser[i]),
-                    )
+                        writing, state, data, learned.order, learned.heard, i, before, earlier, np.int64(laser[i])
+                    )  # fmt: skip
             if k < 0:
                 k = code_laser(
-                    writing,
-                    state,
-                    data,
-                    of_laser,
-                    due,
-                    second,
-                    -1 if known else before,
-                    hits,
-                    np.int64(laser[i]),
-                )
+                    writing, state, data, of_laser, due, second, -1 if known else before, hits, np.int64(laser[i])
+                )  # fmt: skip
             if k >= lasers:
                 state[3] = 1
                 return
@@ -270,8 +253,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 hits = (hits << 1 | int(k != due)) & (HITS - 1)
             if left == 0 and recent >= 0:
                 learn_after(after, pairs, laser, recent, earlier_one, k)
-            if left == 0:
-                slot = k
+            slot = slot_now if left > 0 else k
             # The tick: as the firing's points before say, or the firings before; or as this pair of lasers did before.
             how, expected = 3, 0
             if left == 0:
