@@ -6,7 +6,6 @@ number, row, place in the file or in a firing, or from the top down.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -175,9 +174,19 @@ def find_firing(points: NDArray[np.float64]) -> int:
 
 def _apart(slope: NDArray[np.float64], lags: NDArray[np.int64], every: int = 1) -> NDArray[np.float64]:
     """How far apart half of the slopes ``(N,)`` are from those so many places on, of each lag ``(L,)``; NaN where there are none. ``every``: places of which one is looked at."""
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # stretches without any return
-        return np.array([np.nanmedian(np.abs(slope[lag::every] - slope[:-lag:every])) for lag in lags])
+    with np.errstate(all="ignore"):
+        return np.array([_median(np.abs(slope[lag::every] - slope[:-lag:every])) for lag in lags])
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """``np.nanmedian`` of values ``(N,)``, in a fifth of its time; NaN where there are none."""
+    known = values[~np.isnan(values)]
+    middle = len(known) // 2
+    if not len(known):
+        return np.nan
+    if len(known) % 2:
+        return float(np.partition(known, middle)[middle])
+    return float(np.partition(known, (middle - 1, middle))[middle - 1 : middle + 1].mean())
 
 
 def _by_elevation(scans: list[Listed], nearest: float) -> list[NDArray[np.int64]]:

@@ -76,7 +76,7 @@ def find_timed_motion(
             best = off, motion, reference
             if off < 0.5 * _STILL:  # no other reference is nearer
                 break
-    before = float(np.median(aim(sensor, wide)[3]))
+    before = float(np.median(aim(sensor, wide[few])[3]))
     if best is None or best[0] > min(_CLOSER * before, _ON_LATTICE):
         return None
     return best[1], best[2]
@@ -118,9 +118,10 @@ def onto_lattice(sensor: SensorModel, points: F64, s: F64, motion: F64) -> tuple
         q, own = raw[near], s[near]
         # d raw / d v = -s, d raw / d w = -s w x raw.
         jacobian = np.zeros((len(q), 3, 6))
-        for axis in range(3):
+        for axis, (after, last) in enumerate(((1, 2), (2, 0), (0, 1))):
             jacobian[:, axis, axis] = -own
-            jacobian[:, :, 3 + axis] = -own[:, None] * np.cross(np.eye(3)[axis], q)
+            jacobian[:, after, 3 + axis] = own * q[:, last]
+            jacobian[:, last, 3 + axis] = -own * q[:, after]
         rows = jacobian.reshape(-1, 6)
         step = np.linalg.lstsq(rows.T @ rows, rows.T @ (q - model).ravel(), rcond=None)[0]
         motion = motion - step

@@ -21,6 +21,7 @@ _HOPELESS = 0.02  # radians that half of the points are off by
 _DAMPING = 1e-6
 _STEPS = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
 _OF_LASER, _OF_SENSOR = 2, 7
+_NUMBERS, _RATE = len(_STEPS), _OF_LASER + 6  # of each point; which of these is how fast its sensor turns
 _FEWEST_POINTS = 1500
 
 F64 = NDArray[np.float64]
@@ -29,7 +30,6 @@ Numbers = tuple[F64, F64, F64]  # of lasers, of sensors, the motion
 Fitted = tuple[Turning, float]  # and how far off half of the points are, radians
 
 _TURN = 2.0 * np.pi
-_NO_CHANGE = np.zeros(len(_STEPS))
 
 
 def fit_turning(points: F64, laser: I64, group: I64, time: F64) -> Fitted | None:
@@ -55,7 +55,7 @@ def fit_turning(points: F64, laser: I64, group: I64, time: F64) -> Fitted | None
             np.angle(left[own].mean()),
         )
     numbers, half = _fitted(numbers, p, k, of, t)
-    return None if half > _HOPELESS else _measured(numbers, sound, points, laser, group, time)
+    return None if half > _HOPELESS else _measured(numbers, p, k, of, t)
 
 
 def fit_again(points: F64, laser: I64, group: I64, time: F64, before: Fitted) -> Fitted | None:
@@ -68,7 +68,7 @@ def fit_again(points: F64, laser: I64, group: I64, time: F64, before: Fitted) ->
     sample = _sample(sound, points, laser, group, time)
     wide = turning.lasers.astype(np.float64), turning.sensors.astype(np.float64)
     numbers = *wide, turning.motion.astype(np.float64)
-    again = _measured(_fitted(numbers, *sample)[0], sound, points, laser, group, time)
+    again = _measured(_fitted(numbers, *sample)[0], *sample)
     return again if again[1] < _AS_GOOD * off else None
 
 
@@ -96,8 +96,8 @@ def _fitted(numbers: Numbers, *sample: Any) -> tuple[Numbers, float]:
     return numbers, sum(half)
 
 
-def _measured(numbers: Numbers, sound: I64, points: F64, laser: I64, group: I64, time: F64) -> Fitted:
-    off = _off(*numbers, points[sound], laser[sound], group[laser[sound]], time[sound], _NO_CHANGE)
+def _measured(numbers: Numbers, *sample: Any) -> Fitted:
+    off, _ = _off(*numbers, *sample, _STEPS[:0])
     return Turning(*(part.astype(np.float32) for part in numbers)), float(np.median(np.hypot(*off)))
 
 
@@ -128,28 +128,61 @@ def _turned(x: float, y: float, z: float, a: float, b: float, c: float) -> tuple
 
 
 @njit(cache=True, error_model="numpy")
+def _undone(p: F64, s: float, motion: F64, change: F64) -> tuple[float, float, float]:
+    """A point ``(3,)`` where the vehicle saw it."""
+    return _turned(
+        p[0] - s * (motion[0] + change[9]), p[1] - s * (motion[1] + change[10]),
+        p[2] - s * (motion[2] + change[11]),
+        -s * (motion[3] + change[12]), -s * (motion[4] + change[13]), -s * (motion[5] + change[14]),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _seen(x: float, y: float, z: float, sensor: F64, change: F64) -> tuple[float, float]:
+    """Elevation and azimuth from a sensor."""
+    x, y, z = _turned(
+        x - sensor[0] - change[2], y - sensor[1] - change[3], z - sensor[2] - change[4],
+        -sensor[3] - change[5], -sensor[4] - change[6], -sensor[5] - change[7],
+    )  # fmt: skip
+    return np.arctan2(z, np.sqrt(x * x + y * y)), np.arctan2(y, x)
+
+
+@njit(cache=True, error_model="numpy")
+def _aside(up: float, azimuth: float, s: float, laser: F64, sensor: F64, change: F64) -> tuple[float, float]:
+    """How far elevation and azimuth are from those of a laser: up and aside, radians."""
+    elevation = laser[0] + change[0]
+    aside = azimuth - laser[1] - change[1] - (sensor[6] + change[8]) * s
+    return up - elevation, (aside - _TURN * np.rint(aside / _TURN)) * np.cos(elevation)
+
+
+@njit(cache=True, error_model="numpy")
 def _off(
-    of_laser: F64, of_sensor: F64, motion: F64, p: F64, k: I64, of: I64, t: F64, change: F64
-) -> NDArray[np.float64]:
-    """How far points are off their rays, ``(2, N)``: up and aside, radians; ``change``: of the 15 numbers that each point has."""
-    off = np.empty((2, len(p)))
+    of_laser: F64, of_sensor: F64, motion: F64, p: F64, k: I64, of: I64, t: F64, steps: F64
+) -> tuple[F64, F64]:
+    """How far points are off their rays, ``(2, N)``: up and aside, radians; and by how much more per change of the J numbers that each has, ``(2, J, N)``.
+
+    ``steps``: by which these are changed ``(J,)``; none ``(0,)``: changes are not asked for.
+    """
+    off, more = np.empty((2, len(p))), np.empty((2, len(steps), len(p)))
+    change = np.zeros(_NUMBERS)
     for i in range(len(p)):
-        s, here, there = t[i], of_laser[k[i]], of_sensor[of[i]]
-        elevation = here[0] + change[0]
-        # Back to the sensor: what is left is the elevation and the azimuth of its own lasers.
-        x, y, z = _turned(
-            p[i, 0] - s * (motion[0] + change[9]), p[i, 1] - s * (motion[1] + change[10]),
-            p[i, 2] - s * (motion[2] + change[11]),
-            -s * (motion[3] + change[12]), -s * (motion[4] + change[13]), -s * (motion[5] + change[14]),
-        )  # fmt: skip
-        x, y, z = _turned(
-            x - there[0] - change[2], y - there[1] - change[3], z - there[2] - change[4],
-            -there[3] - change[5], -there[4] - change[6], -there[5] - change[7],
-        )  # fmt: skip
-        off[0, i] = np.arctan2(z, np.sqrt(x * x + y * y)) - elevation
-        aside = np.arctan2(y, x) - here[1] - change[1] - (there[6] + change[8]) * s
-        off[1, i] = (aside - _TURN * np.rint(aside / _TURN)) * np.cos(elevation)
-    return off
+        s, laser, sensor = t[i], of_laser[k[i]], of_sensor[of[i]]
+        x, y, z = _undone(p[i], s, motion, change)
+        up, azimuth = _seen(x, y, z, sensor, change)
+        off[0, i], off[1, i] = _aside(up, azimuth, s, laser, sensor, change)
+        for j in range(len(steps)):
+            change[j] = steps[j]
+            a, b, c = x, y, z
+            other_up, other_azimuth = up, azimuth
+            if j >= _OF_LASER + _OF_SENSOR:
+                a, b, c = _undone(p[i], s, motion, change)
+            if j >= _OF_LASER and j != _RATE:
+                other_up, other_azimuth = _seen(a, b, c, sensor, change)
+            other = _aside(other_up, other_azimuth, s, laser, sensor, change)
+            more[0, j, i] = (other[0] - off[0, i]) / steps[j]
+            more[1, j, i] = (other[1] - off[1, i]) / steps[j]
+            change[j] = 0.0
+    return off, more
 
 
 @njit(cache=True, error_model="numpy")
@@ -174,13 +207,9 @@ def _improved(numbers: Numbers, p: F64, k: I64, of: I64, t: F64) -> tuple[Number
     """One damped Gauss-Newton step on all numbers, points that are far off counting less; and what half were off by before it, up and aside."""
     lasers, sensors = len(numbers[0]), len(numbers[1])
     ends = np.cumsum([_OF_LASER * lasers, _OF_SENSOR * sensors])
-    off = _off(*numbers, p, k, of, t, _NO_CHANGE)
-    change = np.empty((2, len(_STEPS), len(p)))
-    at = np.empty((len(_STEPS), len(p)), np.int64)
-    for j, step in enumerate(_STEPS):
-        local = np.zeros(len(_STEPS))
-        local[j] = step
-        change[:, j] = (_off(*numbers, p, k, of, t, local) - off) / step
+    off, change = _off(*numbers, p, k, of, t, _STEPS)
+    at = np.empty((_NUMBERS, len(p)), np.int64)
+    for j in range(_NUMBERS):
         if j < _OF_LASER:
             at[j] = _OF_LASER * k + j
         elif j < _OF_LASER + _OF_SENSOR:
