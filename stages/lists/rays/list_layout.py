@@ -14,7 +14,7 @@ from salpcc.stages.lists.rays.ray_forms import ALONG
 from salpcc.stages.lists.rays.ray_stream import move_points, write_points
 
 _FEW = 500
-_TRIED = 32768
+_TRIED, _PERIODS = (4096, 32768), 4  # points at least and at most; a quarter of a list, or some periods
 _LASERS = (4, 260)  # lags that may be a firing
 _COLUMNS = (260, 6000)  # and those that may be a ring
 _LONGEST = 1 << 15
@@ -56,8 +56,9 @@ def find_layout(
     candidates = likely_layouts(points, lanes=form != ALONG)
     if len(candidates) == 1 or len(points) < _FEW:
         return 1, 0
-    part = np.ascontiguousarray(points[:_TRIED])
-    some = None if lanes is None else lanes[:_TRIED]
+    period = max(max(layout) for layout in candidates)
+    part = np.ascontiguousarray(points[: np.clip(max(len(points) // 4, _PERIODS * period), *_TRIED)])
+    some = None if lanes is None else lanes[: len(part)]
     out = np.empty(16 * len(part) + 4096, np.uint8)
     sizes: list[float] = []
     for layout in candidates:
