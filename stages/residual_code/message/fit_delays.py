@@ -19,6 +19,7 @@ _GLANCE, _NO_TIMES = 1 << 10, 4.0  # points; bits of each that other fields than
 _TRIED, _HOPELESS = 1 << 13, 1.5  # points; of the bits a point that are to be beaten, in a trial
 _ROUND = 10**9  # delays are multiples of it, or of a tenth of it, and so on
 _ROUNDS = 3
+_UNITS = (10**2, 10**3, 10**4)
 _FAR = 1 << 61
 
 I64 = NDArray[np.int64]
@@ -70,6 +71,15 @@ def find_times(
             break
         delay = _settle(fired.laser, low, high, firing, order, about, unit, *clocks)
         clocked = Clocked(grain, delay)
+    if best is None:
+        return None
+    delay = clocked.delay - clocked.delay[order[0]]
+    for unit in _UNITS:  # all may be round though some are a little off
+        rounded = (delay + unit // 2) // unit * unit
+        rounded[-1] = 0
+        coded = encode_times(fired, low, high, Clocked(grain, rounded), len(best[1]) - 1, known)
+        if coded is not None:
+            best = Clocked(grain, rounded), coded
     return best
 
 
