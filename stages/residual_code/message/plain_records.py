@@ -26,7 +26,7 @@ from salpcc.stages.residual_code.message.points import Points
 from salpcc.stages.residual_code.message.records import RESIDUALS, SYMBOLS, Integers, Values, flags_of
 
 _RECORD = struct.Struct("<BBBBBII")  # a _Head, length
-_SAMPLE, _TRIED = 1 << 16, 1 << 14
+_SAMPLE = 1 << 15
 _LITTLE = 0.002  # bits a value; what takes so few needs no other form
 _FEWEST = 500  # values of a field of decimals for which others are tried
 _BESIDE_AXIS = 100.0  # millimetres that ranges are from distances, where beams start beside the axis
@@ -52,16 +52,17 @@ class _Head(NamedTuple):
 def encode_plain(values: Values, points: Points, base: Values | None) -> bytes:
     """Encode a field by the form and the prediction that cost least."""
     best: tuple[int, _Head, Integers] | None = None
+    part = _middle(len(values))
     for form, scale, based, integers in _forms(values, points, base):
         if best is not None and best[0] <= _LITTLE * min(len(values), _SAMPLE):
             break
         bits_of = 64 if form == DECIMAL else 8 * values.dtype.itemsize
         wrapped = _wrap(integers, bits_of)
         for void in (0, 1) if points.void.any() else (0,):
-            flags = flags_of(points, void)[:_SAMPLE]
+            flags = flags_of(points, void)[part]
             for period in points.periods:
                 least = ENDLESS if best is None else best[0]
-                found = costs(wrapped[:_SAMPLE], flags, period, bits_of, least)
+                found = costs(wrapped[part], flags, period, bits_of, least)
                 for predictor in range(PREDICTORS):
                     if best is None or found[predictor] < best[0]:
                         head = _Head(form, scale, based, void, predictor, period)
@@ -76,10 +77,16 @@ def encode_plain(values: Values, points: Points, base: Values | None) -> bytes:
     return coded if other is None else min(coded, other, key=len)
 
 
+def _middle(n: int) -> slice:
+    """Of so many values, those in the middle that tell of all: the first may be sky."""
+    begin = max(n - _SAMPLE, 0) // 2
+    return slice(begin, begin + _SAMPLE)
+
+
 def _period_of_symbols(integers: Integers, points: Points, head: _Head, kind: np.dtype[Any]) -> int:
-    """The period by which symbols take least, of those in the middle: the first may be sky."""
-    begin = max(len(integers) - _TRIED, 0) // 2
-    part, void = integers[begin : begin + _TRIED], flags_of(points, head.void)[begin : begin + _TRIED]
+    """The period by which symbols take least."""
+    sample = _middle(len(integers))
+    part, void = integers[sample], flags_of(points, head.void)[sample]
     symbols = part & 255 if kind.itemsize == 1 else part
     if symbols.min() < 0 or symbols.max() > 255:
         return head.period
