@@ -45,15 +45,8 @@ from salpcc.stages.lists.timed.timed_points import Known, ray_number_of, read_ti
 from salpcc.stages.lists.timeline import Timeline
 
 Told = Timeline | Placed | None
-AIMED, TIMED, MOVED, AMONG, PLACED, TIMED_AMONG, ANGLED = (
-    3,
-    5,
-    6,
-    7,
-    8,
-    9,
-    10,
-)  # the forms after those of rays
+# The forms after those of rays.
+AIMED, TIMED, MOVED, AMONG, PLACED, TIMED_AMONG, ANGLED = 3, 5, 6, 7, 8, 9, 10
 _HEAD = struct.Struct("<IBHHI")
 _UNITS = (1000, 100, 10000, 1)  # grid lines in a metre
 _ON_GRID = 0.9  # of the points
@@ -250,7 +243,9 @@ class _Given(NamedTuple):
         return np.cumsum(rows[:, 0] + 1) - 1, bool(sound)
 
     def rest(self, n: int, data: NDArray[np.uint8]) -> tuple[F32, bool]:
-        """Read the ``n`` points off the lattice."""
+        """Read the ``n`` points off the lattice, which are on rays: nothing is off twice."""
+        if len(data) >= _HEAD.size and _HEAD.unpack(data[: _HEAD.size].tobytes())[1] in _FORMS:
+            return np.zeros((n, 3), np.float32), False
         return decode_list(n, self.max_error, data)[1::2]
 
 

@@ -167,7 +167,7 @@ def _read_labels(which: int, data: bytes, folder: Path) -> None:
 # Golden streams of strays whose lasers and times are told, and of learned ones, each after the one that it goes on from.
 _TOLD = (
     ("moved",), ("timed",), ("learned_0",), ("learned_0", "learned_1"), ("shuffled_0",), ("shuffled_0", "shuffled_1"),
-    ("passed_0", "passed_1"), ("rays_0",), ("rays_0", "rays_1"),
+    ("passed_0", "passed_1"), ("rays_0",), ("rays_0", "rays_1"), ("angled",),
 )  # fmt: skip
 
 
@@ -182,7 +182,7 @@ def _read_told(which: int, data: bytes, folder: Path) -> None:
     for name, stream in zip(names, [*whole, data], strict=True):
         kind, _, place = name.partition("_")
         known = expected["learned" if kind == "shuffled" else kind]
-        n = known[int(place)][0] if place else expected["n"]
+        n = known[int(place)][0] if place else known[0] if kind == "angled" else expected["n"]
         *_, sound = decode_list(n, 0.0, np.frombuffer(bytearray(stream), np.uint8), PANDAR, lists=lists)
     if not sound:  # what is sound and other than it was, the checksum of its payload finds
         raise ArchiveError("stray points do not decode")

@@ -17,6 +17,7 @@ from salpcc.stages.entropy.buffer import as_array, run_encoder
 from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
 from salpcc.stages.lattice.whole_angles import TURN, UNITS, find_angles, make_points
+from salpcc.stages.lists.aimed.aimed_points import MOST_POINTS
 from salpcc.stages.lists.angled.angled_coder import code_angled, new_models
 
 _BODY = struct.Struct("<BBIIII")
@@ -54,7 +55,7 @@ def write_angled(points: F32, off: Callable[[F32], bytes]) -> bytes | None:
     Args:
         off: encodes the others.
     """
-    made = find_angles(points) if len(points) >= _FEWEST else None
+    made = find_angles(points) if _FEWEST <= len(points) <= MOST_POINTS else None
     if made is None:
         return None
     place, azimuth, elevation, count, found = made
@@ -83,7 +84,7 @@ def read_angled(
 ) -> tuple[F32, bool]:
     """Inverse of :func:`write_angled`: points ``(n, 3)``, and whether the data made sense; ``rest`` decodes the others."""
     points = np.zeros((n, 3), np.float32)
-    if len(data) < _BODY.size:
+    if n > MOST_POINTS or len(data) < _BODY.size:
         return points, False
     place, lasers, n_off, *lengths = _BODY.unpack(data[: _BODY.size].tobytes())
     a, b, c = (int(end) for end in _BODY.size + np.cumsum(lengths))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from salpcc.stages.lattice.whole_angles import TURN, UNITS, find_angles, make_points
-from salpcc.stages.lists.angled.angled_points import write_angled
+from salpcc.stages.lists.angled.angled_points import _BODY, _column, write_angled
 from salpcc.stages.lists.list_coder import (
     _HEAD,
     ANGLED,
@@ -106,3 +106,14 @@ def test_damaged_bodies_are_refused_or_decode(seed: int, many: int) -> None:
     whole = decode_list(len(points), 0.0, np.frombuffer(data, np.uint8))
     cut = decode_list(len(points), 0.0, np.frombuffer(data[: len(data) // 2], np.uint8))
     assert len(whole[1]) == len(cut[1]) == len(points)
+
+
+def test_points_are_off_the_angles_once() -> None:
+    points = mirrored(3)[:300]
+    data = encode_list(np.arange(len(points)), plan(points, 0.0))
+    first, form, *layout = _HEAD.unpack_from(data)
+    assert form == ANGLED
+    places, gaps = data[_HEAD.size : _HEAD.size + first], _column(np.ones(len(points), np.int64))
+    body = _BODY.pack(0, 0, len(points), 0, len(gaps), len(data)) + gaps + data
+    nested = _HEAD.pack(first, form, *layout) + places + body
+    assert not decode_list(len(points), 0.0, np.frombuffer(bytearray(nested), np.uint8))[3]
