@@ -1,4 +1,4 @@
-"""Write golden streams of strays whose lasers and times are told (schemas/ARCHIVE.md, 5.4.2 and 5.4.3), of learned ones (5.4.4), and of angled ones (5.4.8).
+"""Write golden streams of strays whose lasers and times are told (schemas/ARCHIVE.md, 5.4.2 and 5.4.3), of learned ones (5.4.4), of angled ones (5.4.8), and of times of points (5.7).
 
 Only their decoding is for ever the same: what they are fitted by is not the same on every machine.
 """
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from salpcc.stages.lattice.aim import aim
 from salpcc.stages.lattice.lattice import driven
 from salpcc.stages.lattice.list_motion import redo
 from salpcc.stages.lattice.sensor_model import load_sensor
@@ -48,6 +49,16 @@ def standing(seed: int) -> np.ndarray:
     count = np.rint((9.0 + np.sin(firing / 7) + rng.normal(0, 0.01, len(laser))) / sensor.count)
     points = driven(sensor, laser.astype(np.uint8), (firing * 600).astype(np.int32), count).astype(np.float32)
     return np.ascontiguousarray(points[rng.random(len(laser)) < 0.9])
+
+
+def times_of(points: np.ndarray) -> np.ndarray:
+    """Seconds as float32 from firings and lasers, with a packet's stamp every ten firings."""
+    laser, tick = aim(load_sensor(SENSOR), points.astype(np.float64))[:2]
+    firing = (tick + 300) // 600
+    stamp = (
+        700e-6 * (firing // 10) + np.random.default_rng(7).integers(0, 9, FIRINGS + 1)[firing // 10] / 2**20
+    )
+    return (stamp + 55.296e-6 * (firing % 10) + 0.8e-6 * laser).astype(np.float32)
 
 
 def shine_of(points: np.ndarray, often: float = 9.0) -> np.ndarray:
@@ -120,7 +131,7 @@ def main() -> None:
     halves = points.astype(np.float16).astype(np.float32)
     shine, angled = shine_of(points), mirrored()
     scans = [standing(seed) for seed in (2, 3)]
-    turns = [turn(seed) for seed in (4, 5)]
+    turns, times = [turn(seed) for seed in (4, 5)], times_of(scans[0])
     around = Points.of(points, 0, sensor).around(1)
     assert around is not None
     streams = {
@@ -128,6 +139,7 @@ def main() -> None:
         "timed": encode_list(np.arange(len(points)), plan(halves, 0.0, lanes=laser, times=time)),
         "blended": encode_blended(shine, around),
         "angled": encode_list(np.arange(len(angled)), plan(angled, 0.0)),
+        "times": FieldModes().encode(("/a", "time"), times, Points.of(scans[0], 0, sensor)),
         **learned(scans),
         **learned([to_and_fro(scan) for scan in scans], "shuffled"),
         **driven_past(turns),
@@ -139,6 +151,7 @@ def main() -> None:
         "timed": [streams["timed"][4], zlib.crc32(halves.tobytes())],
         "blended": zlib.crc32(shine.tobytes()),
         "angled": [len(angled), zlib.crc32(angled.tobytes())],
+        "times": [streams["times"][0], zlib.crc32(times.tobytes())],
         "learned": [
             [len(scan), zlib.crc32(scan.tobytes()), zlib.crc32(shine_of(scan, 3.0))] for scan in scans
         ],

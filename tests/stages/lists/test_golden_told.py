@@ -26,7 +26,7 @@ from salpcc.stages.lists.list_plan import plan
 from salpcc.stages.residual_code.message.blended_values import decode_blended, encode_blended
 from salpcc.stages.residual_code.message.field_modes import FieldModes
 from salpcc.stages.residual_code.message.points import Points
-from salpcc.stages.residual_code.message.records import LEARNED
+from salpcc.stages.residual_code.message.records import LEARNED, TIMES
 
 TOLD = Path(__file__).parents[2] / "golden" / "told"
 EXPECTED = json.loads((TOLD / "expected.json").read_text())
@@ -85,6 +85,17 @@ def test_gives_the_same_points_and_values_of_a_sensor_that_moves() -> None:
         values, end = modes.decode(("/a", "shine"), record, 0, np.dtype(np.int64), known)
         assert end == len(record)
         assert zlib.crc32(values) == of_values
+
+
+def test_gives_the_same_times() -> None:
+    data = np.frombuffer(bytearray((TOLD / "learned_0.bin").read_bytes()), np.uint8)
+    points = decode_list(EXPECTED["learned"][0][0], 0.0, data, SENSOR, lists=LearnedLists())[1]
+    record = (TOLD / "times.bin").read_bytes()
+    values, end = FieldModes().decode(
+        ("/a", "time"), record, 0, np.dtype(np.float32), Points.of(points, 0, SENSOR)
+    )
+    assert end == len(record)
+    assert EXPECTED["times"] == [TIMES, zlib.crc32(values.tobytes())] == [record[0], EXPECTED["times"][1]]
 
 
 def test_gives_the_same_points_on_rays_that_are_learned() -> None:
