@@ -17,6 +17,7 @@ from salpcc.stages.residual_code.message.firing_times import Clocked, Fired, dec
 
 _GLANCE, _NO_TIMES = 1 << 10, 4.0  # points; bits of each that other fields than times take
 _TRIED, _HOPELESS = 1 << 13, 1.5  # points; of the bits a point that are to be beaten, in a trial
+_FITTED = 1 << 14  # points
 _ROUND = 10**9  # delays are multiples of it, or of a tenth of it, and so on
 _ROUNDS = 3
 _UNITS = (10**2, 10**3, 10**4)
@@ -38,49 +39,60 @@ def find_times(
         known: ``(N,)``, which of the times a reader has.
     """
 
+    n = _enough(fired)
+    own, least, most = replace(fired, laser=fired.laser[:n], tick=fired.tick[:n]), low[:n], high[:n]
+    there = None if known is None else known[:n]
+
     def tried(n: int, delay: I64) -> int:
         few = slice(0, n)
-        part = replace(fired, laser=fired.laser[few], tick=fired.tick[few])
-        some = None if known is None else known[few]
-        coded = encode_times(part, low[few], high[few], Clocked(grain, delay), known=some)
+        part = replace(own, laser=own.laser[few], tick=own.tick[few])
+        some = None if there is None else there[few]
+        coded = encode_times(part, least[few], most[few], Clocked(grain, delay), known=some)
         return ENDLESS if coded is None else len(coded) * max(len(low), n) // n
 
     few = slice(0, _GLANCE)
-    delay, _ = _by_pairs(fired.laser[few], low[few], high[few], fired.lasers)
+    delay, _ = _by_pairs(own.laser[few], least[few], most[few], own.lasers)
     size = tried(_GLANCE, delay)
     if 8 * size > _NO_TIMES * len(low) and size > _HOPELESS * to_beat:
         return None
-    about, order = _by_pairs(fired.laser, low, high, fired.lasers)
-    firing = _firings(fired.laser, low, high, about)
+    about, order = _by_pairs(own.laser, least, most, own.lasers)
+    firing = _firings(own.laser, least, most, about)
     free = np.full(int(firing.max(initial=0)) + 1, _FAR)
     settled = [
-        (_settle(fired.laser, low, high, firing, order, about, unit, -free, free.copy()), unit)
+        (_settle(own.laser, least, most, firing, order, about, unit, -free, free.copy()), unit)
         for unit in (_ROUND, 1)
     ]
     size, unit, delay = min((tried(_TRIED, delay), unit, tuple(delay)) for delay, unit in settled)
     if size > _HOPELESS * to_beat:
         return None
-    best: tuple[Clocked, bytes] | None = None
+    best: tuple[Clocked, int] | None = None
     clocked = Clocked(grain, np.array(delay))
     for _ in range(_ROUNDS):
-        coded = encode_times(fired, low, high, clocked, ENDLESS if best is None else len(best[1]), known)
-        if coded is not None and (best is None or len(coded) < len(best[1])):
-            best = clocked, coded
-        clocks = _clocks(fired, low, high, clocked, firing, order)
+        coded = encode_times(own, least, most, clocked, ENDLESS if best is None else best[1], there)
+        if coded is not None and (best is None or len(coded) < best[1]):
+            best = clocked, len(coded)
+        clocks = _clocks(own, least, most, clocked, firing, order)
         if clocks is None:
             break
-        delay = _settle(fired.laser, low, high, firing, order, about, unit, *clocks)
-        clocked = Clocked(grain, delay)
+        clocked = Clocked(grain, _settle(own.laser, least, most, firing, order, about, unit, *clocks))
     if best is None:
         return None
-    delay = clocked.delay - clocked.delay[order[0]]
+    delay = best[0].delay - best[0].delay[order[0]]
     for unit in _UNITS:  # all may be round though some are a little off
-        rounded = (delay + unit // 2) // unit * unit
-        rounded[-1] = 0
-        coded = encode_times(fired, low, high, Clocked(grain, rounded), len(best[1]) - 1, known)
+        rounded = Clocked(grain, (delay + unit // 2) // unit * unit)
+        rounded.delay[-1] = 0
+        coded = encode_times(own, least, most, rounded, best[1] - 1, there)
         if coded is not None:
-            best = Clocked(grain, rounded), coded
-    return best
+            best = rounded, len(coded)
+    whole = encode_times(fired, low, high, best[0], known=known)
+    return None if whole is None else (best[0], whole)
+
+
+def _enough(fired: Fired) -> int:
+    """How many of the points, from the first, delays are fitted to: some thousands, or all where a laser would be missing."""
+    lasers = fired.laser, fired.laser[:_FITTED]
+    of_all, of_some = (np.bincount(laser, minlength=fired.lasers + 1) for laser in lasers)
+    return _FITTED if (of_some[of_all > 0] > 0).all() else len(fired.laser)
 
 
 @njit(cache=True)
