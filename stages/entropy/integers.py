@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.buffer import run_encoder
 from salpcc.stages.entropy.range_coder import new_bits
 from salpcc.stages.entropy.walks import code_bit, code_raw, failed, finish_coder, start_coder, uncounted
 
@@ -95,3 +96,19 @@ def decode_integers(
     """Inverse of :func:`encode_integers`; the rows ``(n, columns)`` and whether the data sufficed."""
     rows = np.zeros((n, columns), np.int64)
     return rows, _walk(False, start_coder(False, data), np.zeros(columns, np.int64), rows, model, data) == 0
+
+
+def encode_column(values: NDArray[np.int64]) -> bytes:
+    """Encode one column ``(N,)``.
+
+    >>> decode_column(3, np.frombuffer(bytearray(encode_column(np.array([1, 2, -7]))), np.uint8))[0].tolist()
+    [1, 2, -7]
+    """
+    rows = values[:, None]
+    return run_encoder(lambda out: int(encode_integers(rows, integer_model(1), out)), len(rows))
+
+
+def decode_column(n: int, data: NDArray[np.uint8]) -> tuple[NDArray[np.int64], bool]:
+    """Inverse of :func:`encode_column`: the values ``(n,)`` and whether the data sufficed."""
+    rows, sound = decode_integers(n, 1, integer_model(1), data)
+    return rows.ravel(), bool(sound)

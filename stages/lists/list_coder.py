@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.buffer import room_for, run_encoder
-from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.entropy.integers import decode_column, encode_column
 from salpcc.stages.lattice.aim import Placed
 from salpcc.stages.lattice.sensor_model import SensorModel
 from salpcc.stages.lattice.timed_motion import TimedMotion
@@ -164,7 +164,7 @@ def encode_list(places: NDArray[np.int64], found: Plan) -> bytes:
     if len(places) == 0:
         return b""
     gaps = np.diff(places, prepend=-1) - 1
-    first = run_encoder(lambda out: int(encode_integers(gaps[:, None], integer_model(1), out)), len(places))
+    first = encode_column(gaps)
     if found.coded is not None:
         return _HEAD.pack(len(first), found.coded[0], *found.layout, found.per) + first + found.coded[1]
     if found.chosen is None or found.sensor is None:
@@ -239,8 +239,8 @@ class _Given(NamedTuple):
 
     def places(self) -> tuple[NDArray[np.int64], bool]:
         """Read the places ``(n,)`` of points that are told apart from them, and whether the data made sense."""
-        rows, sound = decode_integers(self.n, 1, integer_model(1), self.told)
-        return np.cumsum(rows[:, 0] + 1) - 1, bool(sound)
+        gaps, sound = decode_column(self.n, self.told)
+        return np.cumsum(gaps + 1) - 1, sound
 
     def rest(self, n: int, data: NDArray[np.uint8]) -> tuple[F32, bool]:
         """Read the ``n`` points off the lattice, which are on rays: nothing is off twice."""

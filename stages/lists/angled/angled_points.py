@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import as_array, run_encoder
-from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.entropy.buffer import run_encoder
+from salpcc.stages.entropy.integers import decode_column, encode_column
 from salpcc.stages.entropy.range_coder import finish_encoder, start_decoder, start_encoder
 from salpcc.stages.lattice.whole_angles import TURN, UNITS, find_angles, make_points
 from salpcc.stages.lists.aimed.aimed_points import MOST_POINTS
@@ -64,8 +64,8 @@ def write_angled(points: F32, off: Callable[[F32], bytes]) -> bytes | None:
         return None
     order = np.argsort(-base, kind="stable")
     laser, base = np.argsort(order)[laser].astype(np.uint8), base[order]
-    levels = _column(base)
-    gaps = _column(np.diff(np.flatnonzero(~found), prepend=-1))
+    levels = encode_column(base)
+    gaps = encode_column(np.diff(np.flatnonzero(~found), prepend=-1))
     rest = off(points[~found]) if len(gaps) else b""
     n = len(laser)
 
@@ -90,8 +90,8 @@ def read_angled(
     a, b, c = (int(end) for end in _BODY.size + np.cumsum(lengths))
     if place >= len(UNITS) or n_off > n or (lasers == 0 and n_off < n) or c > len(data):
         return points, False
-    base, sound = _values(lasers, data[_BODY.size : a])
-    gaps, told = _values(n_off, data[a:b])
+    base, sound = decode_column(lasers, np.ascontiguousarray(data[_BODY.size : a]))
+    gaps, told = decode_column(n_off, np.ascontiguousarray(data[a:b]))
     at = np.cumsum(gaps) - 1
     if not (sound and told and (gaps > 0).all() and (at < n).all()):
         return points, False
@@ -100,7 +100,7 @@ def read_angled(
     if n_off:
         points[at], sound = rest(n_off, np.ascontiguousarray(data[b:c]))
     laser, (azimuth, elevation, count) = np.zeros(n - n_off, np.uint8), np.zeros((3, n - n_off), np.int64)
-    raw = as_array(data[c:].tobytes())
+    raw = np.ascontiguousarray(data[c:])
     state = start_decoder(raw)
     code_angled(
         False, laser, azimuth, elevation, count, _beside(base), base, UNITS[place], TURN, new_models(), state, raw
@@ -119,17 +119,3 @@ def _beside(base: I64) -> tuple[I64, I64]:
     below = np.arange(1, len(base) + 1)
     below[-1:] = -1
     return np.arange(-1, len(base) - 1), below
-
-
-def _column(values: I64) -> bytes:
-    rows = values[:, None]
-    return (
-        run_encoder(lambda out: int(encode_integers(rows, integer_model(1), out)), len(rows))
-        if len(rows)
-        else b""
-    )
-
-
-def _values(n: int, data: NDArray[np.uint8]) -> tuple[I64, bool]:
-    rows, sound = decode_integers(n, 1, integer_model(1), np.ascontiguousarray(data))
-    return np.ascontiguousarray(rows[:, 0]), bool(sound) or n == 0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from salpcc.schemas.errors import ArchiveError
 from salpcc.stages.entropy.buffer import ENDLESS, require_sound
+from salpcc.stages.entropy.integers import encode_column
 from salpcc.stages.entropy.number_forms import (
     BITS,
     DECIMAL,
@@ -43,7 +44,6 @@ from salpcc.stages.residual_code.message.records import (
     Integers,
     Values,
     read_small,
-    small,
     unpacked,
 )
 
@@ -124,7 +124,7 @@ def encode_times_like(
 
 
 def _times_record(spans: Spans, clocked: Clocked, stream: bytes) -> bytes:
-    delays = small(clocked.delay)
+    delays = encode_column(clocked.delay)
     head = _TIMES.pack(spans.form, spans.power, clocked.grain, spans.origin, len(delays), len(stream))
     return bytes([TIMES]) + head + delays + stream
 
@@ -218,7 +218,7 @@ def _encode_columns_as(
     shifts: Integers, void: int, origin: int, bits: Integers, grid: Grid, to_beat: int = ENDLESS
 ) -> bytes | None:
     """The same with shifts that are known; None where values differ too much."""
-    coded = small(shifts)
+    coded = encode_column(shifts)
     stream = encode_columns(bits, grid.void & bool(void), grid.width, shifts, to_beat, grid.role)
     if stream is None:
         return None

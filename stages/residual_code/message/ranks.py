@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from salpcc.stages.entropy.buffer import require_sound
+from salpcc.stages.entropy.integers import encode_column
 from salpcc.stages.entropy.number_forms import from_bits, to_bits
 from salpcc.stages.residual_code.message.plain_records import decode_plain, encode_plain
 from salpcc.stages.residual_code.message.points import Points
-from salpcc.stages.residual_code.message.records import RANKS, Values, read_small, small, unpacked
+from salpcc.stages.residual_code.message.records import RANKS, Values, read_small, unpacked
 
 _HEAD = struct.Struct("<qII")  # least value, further ones, bytes of the steps between them
 _EACH = 8  # points of a value, at least
@@ -33,7 +34,7 @@ def encode_ranks(values: Values, points: Points) -> bytes | None:
         return None
     if 2 * np.count_nonzero(np.diff(ranks) == 1) < len(ranks):
         return None
-    between = small(steps)
+    between = encode_column(steps)
     head = _HEAD.pack(int(different[0]), len(steps), len(between))
     return bytes([RANKS]) + head + between + encode_plain(ranks.astype(_RANK), points, None)
 

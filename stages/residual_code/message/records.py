@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.buffer import as_array, require_sound, run_encoder
-from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.entropy.buffer import as_array, require_sound
+from salpcc.stages.entropy.integers import decode_column
 from salpcc.stages.residual_code.message.points import Points
 
 (
@@ -29,18 +29,15 @@ Values = NDArray[Any]
 Integers = NDArray[np.int64]
 
 
-def small(values: Integers) -> bytes:
-    """Encode a small column ``(N,)``."""
-    return run_encoder(
-        lambda out: int(encode_integers(values[:, None], integer_model(1), out)), 16 * len(values)
-    )
-
-
 def read_small(n: int, data: bytes) -> Integers:
-    """Inverse of :func:`small`, of ``n`` values."""
-    rows, sound = decode_integers(n, 1, integer_model(1), as_array(data))
+    """A small column ``(n,)`` that :func:`~salpcc.stages.entropy.integers.encode_column` wrote.
+
+    Raises:
+        ArchiveError: it does not decode.
+    """
+    values, sound = decode_column(n, as_array(data))
     require_sound(sound)
-    return rows[:, 0]
+    return values
 
 
 def unpacked(what: struct.Struct, data: bytes, at: int) -> tuple[tuple[Any, ...], int]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.buffer import as_array, require_sound, run_encoder
-from salpcc.stages.entropy.integers import decode_integers, encode_integers, integer_model
+from salpcc.stages.entropy.integers import decode_column, encode_column
 from salpcc.stages.lattice.lattice import NO_CORRECTION
 from salpcc.stages.lattice.layers import Layered, alone, movable_mask
 from salpcc.stages.lattice.publish import Rounded, rounded
@@ -272,7 +272,7 @@ def _encode_lead(scan: Encoding) -> bytes:
         scan.flags |= LAYER
     if lead is None or not lead.any():
         return b""
-    return run_encoder(lambda out: int(encode_integers(lead[:, None], integer_model(1), out)), len(lead))
+    return encode_column(lead)
 
 
 def _decode_lead(scan: Decoding, stream: bytes) -> None:
@@ -281,9 +281,8 @@ def _decode_lead(scan: Decoding, stream: bytes) -> None:
     n = len(scan.static.stray_index)
     lead = np.zeros(n, np.int64)
     if stream:
-        rows, sound = decode_integers(n, 1, integer_model(1), as_array(stream))
+        lead, sound = decode_column(n, as_array(stream))
         require_sound(sound)
-        lead = rows[:, 0].copy()
     scan.sweep = replace(scan.sweep, lead=lead)
 
 

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from salpcc.stages.entropy.integers import encode_column
 from salpcc.stages.lattice.whole_angles import TURN, UNITS, find_angles, make_points
-from salpcc.stages.lists.angled.angled_points import _BODY, _column, write_angled
+from salpcc.stages.lists.angled.angled_points import _BODY, write_angled
 from salpcc.stages.lists.list_coder import (
     _HEAD,
     ANGLED,
@@ -113,7 +114,7 @@ def test_points_are_off_the_angles_once() -> None:
     data = encode_list(np.arange(len(points)), plan(points, 0.0))
     first, form, *layout = _HEAD.unpack_from(data)
     assert form == ANGLED
-    places, gaps = data[_HEAD.size : _HEAD.size + first], _column(np.ones(len(points), np.int64))
+    places, gaps = data[_HEAD.size : _HEAD.size + first], encode_column(np.ones(len(points), np.int64))
     body = _BODY.pack(0, 0, len(points), 0, len(gaps), len(data)) + gaps + data
     nested = _HEAD.pack(first, form, *layout) + places + body
     assert not decode_list(len(points), 0.0, np.frombuffer(bytearray(nested), np.uint8))[3]
