@@ -118,6 +118,15 @@ def _near(points: F32, i: int, model: NDArray[np.float64], reach: float) -> bool
 
 
 @njit(cache=True, error_model="numpy")
+def _within(points: F32, model: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
+    """Mark the points ``(S, 3)`` that are :func:`_near` their model points."""
+    near = np.empty(len(points), np.bool_)
+    for i in range(len(points)):
+        near[i] = _near(points, i, model, reach)
+    return near
+
+
+@njit(cache=True, error_model="numpy")
 def _sort(  # type: ignore[no-untyped-def]
     points, laser, model, origin, moving, reach, per, kinds
 ):  # fmt: skip
@@ -292,12 +301,3 @@ def _tables(sensor: SensorModel) -> tuple[Any, ...]:
     sines, cosines = turn_tables(sensor.ticks_per_turn)
     driver = NO_DRIVER if sensor.driver is None else sensor.driver.tables
     return parameters, laser_constants(parameters), sines, cosines, sensor.count, phase, above, below, driver
-
-
-def _within(points: F32, model: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
-    near = model.astype(np.float32)
-    if reach == 0.0:
-        return np.asarray((near.view(np.int32) == points.view(np.int32)).all(axis=1))
-    with np.errstate(invalid="ignore", over="ignore"):
-        off = near.astype(np.float64) - points
-        return np.asarray(np.sqrt((off * off).sum(axis=1)) <= reach)

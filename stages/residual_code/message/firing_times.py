@@ -12,6 +12,7 @@ Of a movable layer the times of both layers' points are walked over. Those of th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -68,6 +69,11 @@ class Fired:
     def lasers(self) -> int:
         """Lasers of the sensor."""
         return len(self.shift) - 1
+
+    @cached_property
+    def phase(self) -> I64:
+        """Tick of the common firing of each point ``(N,)``."""
+        return (self.tick - self.shift[self.laser]) % self.ticks
 
 
 ON_LATTICE = 0.01  # metres; with an error allowed points are half a level off
@@ -272,7 +278,7 @@ def encode_times(
     known = np.zeros(len(low), np.bool_) if known is None else known
     times = np.zeros(len(low), np.int64)
     given = _Given(fired.laser, clocked.delay, low, high, known)
-    _code(True, state, out, given, _phase(fired), fired.ticks, clocked.grain, times, *_models())
+    _code(True, state, out, given, fired.phase, fired.ticks, clocked.grain, times, *_models())
     if state[3] != 0 or (((times < low) | (times > high)) & ~known).any():
         return None
     return within(out, int(finish_encoder(state, out)), to_beat)
@@ -291,12 +297,8 @@ def decode_times(
     times = np.zeros(len(fired.laser), np.int64)
     low, high, known = given or (times, times, np.zeros(len(times), np.bool_))
     of = _Given(fired.laser, clocked.delay, low, high, known)
-    _code(False, state, raw, of, _phase(fired), fired.ticks, clocked.grain, times, *_models())
+    _code(False, state, raw, of, fired.phase, fired.ticks, clocked.grain, times, *_models())
     return times, bool(state[3] == 0)
-
-
-def _phase(fired: Fired) -> I64:
-    return (fired.tick - fired.shift[fired.laser]) % fired.ticks
 
 
 def _models() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
