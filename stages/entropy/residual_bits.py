@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
 
 SIZES = 40  # magnitudes below 2 ** 40
+CLASSES = SIZES // 2 + 1  # of sizes, as contexts
 PER_CONTEXT = 2 + 4 * SIZES
 
 State = NDArray[np.int64]

@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from salpcc.stages.entropy.residual_bits import code_number, size_of
+from salpcc.stages.entropy.residual_bits import CLASSES, code_number, size_of
 from salpcc.stages.entropy.walks import code_mixed_bit
 from salpcc.stages.lattice.lattice import place_point
 from salpcc.stages.lattice.untwist import moved
@@ -39,7 +39,7 @@ from salpcc.stages.lists.aimed.aimed_neighbours import (
 )
 from salpcc.stages.lists.aimed.aimed_symbols import (
     AIMED,
-    CLASSES,
+    FAR,
     HITS,
     NAN,
     NOBODY,
@@ -187,6 +187,9 @@ def code_aimed(  # type: ignore[no-untyped-def]
     slot_now, cycle_now = -1, 0
     hits = 0  # whether lasers came when they were due
     layered = len(layer.role) > 0
+    follows = left == 0 and (
+        learned is None or layered
+    )  # lasers follow one another; else what was learned tells
     lag = max(left, up) if max(left, up) > 1 else 0
     for i in range(n):
         slot_now += 1
@@ -195,7 +198,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
         due = second = -1
         if left > 0:
             due = slot_laser[slot_now]
-        elif recent >= 0:
+        elif follows and recent >= 0:
             due, second = due_lasers(after, pairs, laser, recent, earlier_one)
         known = left > 0 and due >= 0
         role = OWN
@@ -251,7 +254,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
             laser[i] = k
             if due >= 0:
                 hits = (hits << 1 | int(k != due)) & (HITS - 1)
-            if left == 0 and recent >= 0:
+            if follows and recent >= 0:
                 learn_after(after, pairs, laser, recent, earlier_one, k)
             slot = slot_now if left > 0 else k
             # The tick: as the firing's points before say, or the firings before; or as this pair of lasers did before.
@@ -356,7 +359,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
         if exact:
             old = recent if place < 0 else place
             same = k if kind == AIMED else lasers
-            far = min(bucket_of(np.sqrt(x * x + y * y + z * z), 0.25) // 2, 15)
+            far = min(bucket_of(np.sqrt(x * x + y * y + z * z), 0.25) // 2, FAR - 1)
             off = np.int64(0)
             if writing or given:
                 for c in range(3):
@@ -376,7 +379,7 @@ def code_aimed(  # type: ignore[no-untyped-def]
                 number = whole_of(points[i, c], form, per) - whole if writing or given else 0
                 if off == 1 and not given:
                     number = code_number(
-                        writing, state, data, of_fix, (c * CLASSES + side) * CLASSES + close, of_reach, c * 16 + far, number
+                        writing, state, data, of_fix, (c * CLASSES + side) * CLASSES + close, of_reach, c * FAR + far, number
                     )  # fmt: skip
                 sizes[i, 1 + c] = (size_of(abs(number)) + 1) // 2
                 most = max(most, np.int64(sizes[i, 1 + c]))

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
-from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES
+from salpcc.stages.entropy.residual_bits import CLASSES, PER_CONTEXT
 from salpcc.stages.entropy.walks import code_mixed_bit, code_mixed_tree
 from salpcc.stages.lists.rays.ray_forms import SPREADS
 
@@ -15,8 +15,7 @@ AIMED, ZERO, NAN, OFF = 0, 1, 2, 3
 NOBODY = 255  # no laser, of those that came next
 HITS = 64  # histories of "the laser that was due came", as contexts
 _DUE = 2 * (257 + HITS)  # contexts of "it is this one", behind those of other lasers
-_FAR = 16  # classes of distance, as contexts of corrections
-CLASSES = SIZES // 2 + 1  # as contexts
+FAR = 16  # classes of distance, as contexts of corrections
 
 Bits = NDArray[np.uint16]
 Models = tuple[Bits, ...]
@@ -32,9 +31,9 @@ def new_models() -> Models:
         new_bits(4 * CLASSES * PER_CONTEXT),
         new_bits(SPREADS * PER_CONTEXT),
         new_bits(pairs),
-        new_bits(16 + _FAR),
+        new_bits(16 + FAR),
         new_bits(3 * pairs),
-        new_bits(3 * _FAR * PER_CONTEXT),
+        new_bits(3 * FAR * PER_CONTEXT),
     )
 
 

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
-from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number, size_of
+from salpcc.stages.entropy.residual_bits import CLASSES, PER_CONTEXT, code_number, size_of
 from salpcc.stages.entropy.walks import code_mixed_bit, code_raw
 from salpcc.stages.lists.aimed.aimed_neighbours import (
     GUESSES,
@@ -24,7 +24,6 @@ from salpcc.stages.lists.aimed.aimed_neighbours import (
 )
 from salpcc.stages.lists.rays.ray_forms import SPREADS, bucket_of
 
-_CLASSES = SIZES // 2 + 1
 _STEPS = 8  # of the clock that are remembered
 _CANDIDATES = 3  # for the next laser
 _CORRECTED = 1500  # steps of azimuth; what is farther off than a correction
@@ -39,7 +38,7 @@ def new_models() -> tuple[NDArray[np.uint16], ...]:
         new_bits(_STEP + _STEPS * (_STEPS + 1)),
         new_bits(4 * PER_CONTEXT),
         new_bits(SPREADS * PER_CONTEXT),
-        new_bits(_CLASSES * _CLASSES * PER_CONTEXT),
+        new_bits(CLASSES * CLASSES * PER_CONTEXT),
     )
 
 
@@ -137,8 +136,8 @@ def code_angled(  # type: ignore[no-untyped-def]
             i, place, np.int64(-1), upper, lower, turn, here, inverse, surface, beside, errors, guess
         )
         whole = np.int64(np.rint(r / unit))
-        size = np.int64(sizes[place]) if place >= 0 else _CLASSES - 1
-        near = min(bucket_of(apart, unit) // 2, _CLASSES - 1) * _CLASSES + size
+        size = np.int64(sizes[place]) if place >= 0 else CLASSES - 1
+        near = min(bucket_of(apart, unit) // 2, CLASSES - 1) * CLASSES + size
         number = code_number(
             writing, state, data, of_spread, bucket_of(spread, unit), of_sizes, near, count[i] - whole
         )

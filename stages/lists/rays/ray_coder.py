@@ -22,7 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
-from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number, size_of
+from salpcc.stages.entropy.residual_bits import CLASSES, PER_CONTEXT, code_number, size_of
 from salpcc.stages.entropy.walks import code_mixed_bit, code_mixed_tree, code_raw
 from salpcc.stages.lists.rays.ray_forms import (
     ALONG,
@@ -40,7 +40,6 @@ from salpcc.stages.lists.rays.ray_forms import (
 NORMAL, ZERO, NAN, LOOSE = 0, 1, 2, 3
 WRITE, READ, MOVE = 0, 1, 2
 PREDICTORS = 4
-_SIZES = SIZES // 2 + 1  # as contexts
 _NO_ERROR = 0.5
 _PER_ERROR = 1.0 / 65535.0
 NAN_BITS = 0x7FC00000
@@ -60,7 +59,7 @@ Models = tuple[
 
 def new_models() -> Models:
     """Return fresh contexts: of kinds, of the number along the ray (two), of those across it (two), of lanes."""
-    pairs = _SIZES * _SIZES * PER_CONTEXT
+    pairs = CLASSES * CLASSES * PER_CONTEXT
     return (
         new_bits(64 * 4),
         new_bits(SPREADS * PER_CONTEXT),
@@ -170,11 +169,11 @@ def code_points(  # type: ignore[no-untyped-def]
         r = total / mean
         spread = spread / total * r * 0.5
 
-        size1 = np.int64(sizes[place, 0]) if place >= 0 else _SIZES - 1
+        size1 = np.int64(sizes[place, 0]) if place >= 0 else CLASSES - 1
         size2 = (
             np.int64(sizes[upper, 0])
             if upper >= 0
-            else (np.int64(sizes[recent, 0]) if recent >= 0 else _SIZES - 1)
+            else (np.int64(sizes[recent, 0]) if recent >= 0 else CLASSES - 1)
         )
         if form == ALONG:
             ground = np.sqrt(dx * dx + dy * dy)
@@ -201,7 +200,7 @@ def code_points(  # type: ignore[no-untyped-def]
         if way != MOVE:
             numbers[0] = code_number(
                 writing, state, data, of_spread, bucket_of(spread, unit),
-                of_sizes, size1 * _SIZES + size2, numbers[0],
+                of_sizes, size1 * CLASSES + size2, numbers[0],
             )  # fmt: skip
         sizes[i, 0] = (size_of(abs(numbers[0])) + 1) // 2
         if form != ALONG:
@@ -216,10 +215,10 @@ def code_points(  # type: ignore[no-untyped-def]
                 if way != READ:
                     numbers[c] = whole_of(points[i, other], form, per) - whole
             if way != MOVE:
-                side = np.int64(sizes[place, c]) if place >= 0 else _SIZES - 1
-                close = np.int64(sizes[recent, c]) if recent >= 0 else _SIZES - 1
+                side = np.int64(sizes[place, c]) if place >= 0 else CLASSES - 1
+                close = np.int64(sizes[recent, c]) if recent >= 0 else CLASSES - 1
                 numbers[c] = code_number(
-                    writing, state, data, of_across, ((c - 1) * _SIZES + side) * _SIZES + close,
+                    writing, state, data, of_across, ((c - 1) * CLASSES + side) * CLASSES + close,
                     of_place, ((c - 1) * 16 + reach) * 8 + min(np.int64(sizes[i, 0]), 7), numbers[c],
                 )  # fmt: skip
             sizes[i, c] = (size_of(abs(numbers[c])) + 1) // 2

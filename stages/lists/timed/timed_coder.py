@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from salpcc.stages.entropy.range_coder import new_bits
-from salpcc.stages.entropy.residual_bits import PER_CONTEXT, SIZES, code_number, size_of
+from salpcc.stages.entropy.residual_bits import CLASSES, PER_CONTEXT, code_number, size_of
 from salpcc.stages.lattice.trig import TWO_PI, arctan2
 from salpcc.stages.lists.aimed.aimed_neighbours import (
     GUESSES,
@@ -33,7 +33,6 @@ from salpcc.stages.lists.rays.ray_forms import (
 )
 from salpcc.stages.lists.timed.turning_rays import ray_at
 
-_CLASSES = SIZES // 2 + 1
 _GAIN = 0.1  # of what a point tells of its sensor's turning
 _MOST_TURNED = 2e-3  # radians that one point may say
 _WANDERS = 1e-4  # radians that rays are off by
@@ -44,9 +43,9 @@ def new_models() -> tuple[NDArray[np.uint16], ...]:
     """Return fresh contexts: of the number along the ray (two), of those across it (two)."""
     return (
         new_bits(SPREADS * PER_CONTEXT),
-        new_bits(_CLASSES * _CLASSES * PER_CONTEXT),
+        new_bits(CLASSES * CLASSES * PER_CONTEXT),
         new_bits(2 * SPREADS * PER_CONTEXT),
-        new_bits(2 * _CLASSES * _CLASSES * PER_CONTEXT),
+        new_bits(2 * CLASSES * CLASSES * PER_CONTEXT),
     )
 
 
@@ -124,13 +123,13 @@ def code_timed(  # type: ignore[no-untyped-def]
             foretold = o[axis] + r * d[axis]
             whole = whole_of(foretold, form, per)
             unit = max(_grain(foretold, form, per) / abs(d[axis]), 1e-9)
-            size = np.int64(sizes[place, 0]) if place >= 0 else _CLASSES - 1
+            size = np.int64(sizes[place, 0]) if place >= 0 else CLASSES - 1
             known = writing or given[i]
             numbers[0] = whole_of(points[i, axis], form, per) - whole if known else 0
             if not given[i]:
                 numbers[0] = code_number(
                     writing, state, data, of_spread, bucket_of(spread, unit),
-                    of_sizes, min(bucket_of(apart, unit) // 2, _CLASSES - 1) * _CLASSES + size, numbers[0],
+                    of_sizes, min(bucket_of(apart, unit) // 2, CLASSES - 1) * CLASSES + size, numbers[0],
                 )  # fmt: skip
             sizes[i, 0] = (size_of(abs(numbers[0])) + 1) // 2
             if not given[i]:
@@ -143,12 +142,12 @@ def code_timed(  # type: ignore[no-untyped-def]
                 foretold = o[other] + r * d[other]
                 whole = whole_of(foretold, form, per)
                 numbers[c] = whole_of(points[i, other], form, per) - whole if known else 0
-                near = np.int64(sizes[place, c]) if place >= 0 else _CLASSES - 1
+                near = np.int64(sizes[place, c]) if place >= 0 else CLASSES - 1
                 loose = abs(d[other] / d[axis]) * grain * 0.5 + r * _WANDERS * (1.0 if other == 2 else 2.0)
                 if not given[i]:
                     numbers[c] = code_number(
                         writing, state, data, of_grain, (c - 1) * SPREADS + bucket_of(loose, _grain(foretold, form, per)),
-                        of_across, ((c - 1) * _CLASSES + near) * _CLASSES + np.int64(sizes[recent, c]), numbers[c],
+                        of_across, ((c - 1) * CLASSES + near) * CLASSES + np.int64(sizes[recent, c]), numbers[c],
                     )  # fmt: skip
                 sizes[i, c] = (size_of(abs(numbers[c])) + 1) // 2
                 if not given[i]:
